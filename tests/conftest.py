@@ -1,0 +1,86 @@
+"""Shared fixtures: a tiny project folder with its own manifest, images and cache."""
+
+import copy
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+THUMBNAIL = {
+    "title": "Thumbnail", "kind": "baseline", "backbone": "–", "aggregation": "thumbnail", "dimension": 512, "batch_size": 4,
+    "preprocessing": {"resize": "fixed", "size": [16, 32], "colour": "grey", "mean": [0.0], "std": [1.0]},
+}  # fmt: skip
+HOG = {
+    "title": "HOG", "kind": "baseline", "backbone": "–", "aggregation": "HOG", "dimension": 108, "batch_size": 5,
+    "preprocessing": {"resize": "fixed", "size": [32, 64], "colour": "grey", "mean": [0.0], "std": [1.0]},
+}  # fmt: skip
+
+
+def write_images(folder, n, seed, *, brightness=0.0, noise=12.0, suffix=".png"):
+    """Images of n places: smooth random scenes, the same for the same seed, with noise and another brightness."""
+    folder.mkdir(parents=True, exist_ok=True)
+    scenes, sensor = np.random.default_rng(seed), np.random.default_rng([seed, int(100 + brightness)])
+    for index in range(n):
+        scene = np.kron(scenes.uniform(40, 215, (6, 8, 3)), np.ones((8, 8, 1)))
+        pixels = scene + brightness + sensor.normal(0, noise, scene.shape)
+        Image.fromarray(np.clip(pixels, 0, 255).astype(np.uint8)).save(folder / f"frame{index}{suffix}")
+
+
+def tiny_manifest(**datasets):
+    return copy.deepcopy(_tiny_manifest(datasets))
+
+
+def _tiny_manifest(datasets):
+    return {
+        "version": 1,
+        "data_root": "data",
+        "datasets": datasets
+        or {
+            "street": {
+                "title": "Street", "kind": "folder", "threshold": {"value": 1, "unit": "frames"}, "query": "day", "database": "night",
+                "traversals": {"day": {"condition": "day"}, "night": {"condition": "night"}},
+            }
+        },
+        "methods": {"thumbnail": THUMBNAIL, "hog": HOG},
+        "profiles": {"demo": {"description": "tiny", "datasets": list(datasets or ["street"]), "methods": ["thumbnail", "hog"]}},
+    }  # fmt: skip
+
+
+def write_manifest(folder, content):
+    path = folder / "data_manifest.yaml"
+    path.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(autouse=True)
+def no_settings_from_outside(monkeypatch, request):
+    """Tests see no data root and no cache of the machine, but for those that ask for the real data."""
+    if "data" not in request.keywords:
+        monkeypatch.delenv("ARTIFACT_DATA_ROOT", raising=False)
+    monkeypatch.delenv("ARTIFACT_CACHE", raising=False)
+
+
+@pytest.fixture
+def project(tmp_path):
+    """A folder with a manifest, two traversals of twelve images, and nothing else."""
+    write_images(tmp_path / "data" / "street" / "day", 12, seed=1)
+    write_images(tmp_path / "data" / "street" / "night", 12, seed=1, brightness=-35)
+    write_manifest(tmp_path, tiny_manifest())
+    return tmp_path
+
+
+def real_data_root():
+    root = os.environ.get("ARTIFACT_DATA_ROOT")
+    return Path(root) if root and (Path(root) / "gardens_point" / "day_right").is_dir() else None
+
+
+def pytest_collection_modifyitems(items):
+    skip = pytest.mark.skip(reason="needs the Gardens Point images: set ARTIFACT_DATA_ROOT to the folder that holds gardens_point/")
+    for item in items:
+        if "data" in item.keywords and real_data_root() is None:
+            item.add_marker(skip)
