@@ -1,0 +1,239 @@
+"""Raw files to :class:`Traversal`: images, positions, condition.
+
+:func:`load` is the one way in. A dataset is named by its manifest entry, or is a path to a folder of images.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+
+from artifact import store
+from artifact.datasets import folder, shipped
+from artifact.datasets.traversal import Dataset, DatasetError, Traversal
+from artifact.manifest import DatasetEntry, Manifest, ManifestError, Threshold, TraversalEntry, parse_dataset
+
+__all__ = ["Dataset", "DatasetError", "Traversal", "entry_of", "load", "load_traversal"]
+
+_DESCRIPTION = "dataset.yaml"
+_QUERY_FOLDERS = ("queries", "query")
+_DATABASE_FOLDERS = ("database", "gallery")
+
+
+def load(manifest: Manifest, name: str, traversals: Iterable[str] | None = None) -> Dataset:
+    """Load a dataset: query, database and any further traversals.
+
+    Parameters
+    ----------
+    manifest
+        The manifest.
+    name
+        A dataset of the manifest, or the path of a folder (see :func:`entry_of`).
+    traversals
+        Names of further traversals to load; default none.
+
+    Raises
+    ------
+    DatasetError
+        If files are missing or do not fit together; the message says how to obtain the dataset.
+    """
+    entry = entry_of(manifest, name)
+    wanted = dict.fromkeys([entry.query, entry.database, *(traversals or [])])
+    loaded = {traversal: load_traversal(manifest, name, traversal) for traversal in wanted}
+    _check_pair(name, entry, loaded[entry.query], loaded[entry.database])
+    return Dataset(
+        name=name,
+        title=entry.title,
+        shift=entry.shift,
+        threshold=entry.threshold.value,
+        unit=entry.threshold.unit,
+        traversals=loaded,
+        query_name=entry.query,
+        database_name=entry.database,
+        real=entry.kind != "city",
+    )
+
+
+def entry_of(manifest: Manifest, name: str) -> DatasetEntry:
+    """Return the entry of a dataset that is named in the manifest, or that is a folder.
+
+    A folder describes itself in ``dataset.yaml`` (the same keys as a manifest entry), or has the sub-folders
+    ``queries`` and ``database`` (or ``gallery``): then positions come from ``positions.csv`` in each, else from
+    ``@utm_east@utm_north@`` file names, else from the frame order, and the threshold is 25 m, or 1 frame.
+    """
+    if name in manifest.datasets:
+        return manifest.datasets[name]
+    path = Path(name).expanduser()
+    if not path.is_dir():
+        raise ManifestError(
+            f"no dataset {name!r}: it is neither in {manifest.path} ({', '.join(manifest.datasets)}) nor a folder"
+        )
+    if (path / _DESCRIPTION).is_file():
+        return parse_dataset(path / _DESCRIPTION, root=str(path.resolve()))
+    return _entry_from_layout(path.resolve())
+
+
+def _entry_from_layout(path: Path) -> DatasetEntry:
+    chosen = []
+    for candidates in (_QUERY_FOLDERS, _DATABASE_FOLDERS):
+        found = [candidate for candidate in candidates if (path / candidate).is_dir()]
+        if len(found) != 1:
+            raise DatasetError(
+                f"{path}: expected one folder named {' or '.join(candidates)}, found {len(found)}; "
+                f"or describe the dataset in {path / _DESCRIPTION}"
+            )
+        chosen.append(found[0])
+    sources = {_positions_source(path / part) for part in chosen}
+    if len(sources) != 1:
+        raise DatasetError(
+            f"{path}: {chosen[0]} and {chosen[1]} have different kinds of positions: {', '.join(sorted(sources))}"
+        )
+    source = sources.pop()
+    in_frames = source == "order" or (source == "csv" and _csv_unit(path / chosen[0]) == "frames")
+    return DatasetEntry(
+        title=path.name,
+        kind="folder",
+        root=str(path),
+        threshold=Threshold(value=1.0, unit="frames") if in_frames else Threshold(value=25.0, unit="metres"),
+        query=chosen[0],
+        database=chosen[1],
+        shift=f"{chosen[0]}→{chosen[1]}",
+        traversals={part: TraversalEntry(condition=part, positions=source) for part in chosen},
+    )
+
+
+def _positions_source(path: Path) -> str:
+    if (path / folder.POSITIONS_FILE).is_file():
+        return "csv"
+    return "names" if Path(folder.list_images(path)[0]).name.startswith("@") else "order"
+
+
+def _csv_unit(path: Path) -> str:
+    with (path / folder.POSITIONS_FILE).open(encoding="utf-8-sig") as stream:
+        return "frames" if "index" in stream.readline().lower() else "metres"
+
+
+def load_traversal(manifest: Manifest, dataset: str, name: str) -> Traversal:
+    """Load one traversal of a dataset; see :func:`load`."""
+    entry = entry_of(manifest, dataset)
+    if name not in entry.traversals:
+        raise ManifestError(
+            f"{dataset}: no traversal {name!r}; the traversals are {', '.join(entry.traversals)}"
+        )
+    loaders: dict[str, Callable[..., Traversal]] = {
+        "folder": _load_folder, "gardens_point": _load_gardens_point, "city": _load_city,
+    }  # fmt: skip
+    return loaders[entry.kind](manifest, dataset, entry, name)
+
+
+def _load_folder(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
+    traversal = entry.traversals[name]
+    root = manifest.data_root / (entry.root or dataset)
+    images = root / (traversal.images or name)
+    if not images.is_dir():
+        raise DatasetError(_missing(dataset, entry, images, manifest))
+    listed = root / traversal.image_list if traversal.image_list else None
+    names = folder.list_images(images, listed)
+    source = traversal.positions or _positions_source(images)
+    unit = entry.threshold.unit
+    if source == "names":
+        positions, found = folder.positions_from_names(images, names), "metres"
+    elif source == "csv":
+        file = root / traversal.positions_file if traversal.positions_file else images / folder.POSITIONS_FILE
+        positions, found = folder.positions_from_csv(file, names)
+    else:
+        positions, found = np.arange(len(names), dtype=np.float64)[:, None], unit
+    if (found == "metres") != (unit == "metres"):
+        raise DatasetError(f"{dataset}/{name}: the threshold is in {unit} but the positions are in {found}")
+    if traversal.spacing is not None:
+        kept = folder.keep_spacing(positions, traversal.spacing)
+        names, positions = [names[index] for index in kept], positions[kept]
+    return _traversal(manifest, dataset, name, traversal.condition, images, names, positions)
+
+
+def _load_gardens_point(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
+    images = manifest.data_root / (entry.root or dataset) / name
+    if images.is_dir():
+        return _load_folder(manifest, dataset, entry, name)
+    stored = shipped.traversal(entry.root or dataset, name)
+    if stored is None:
+        raise DatasetError(_missing(dataset, entry, images, manifest))
+    names, digest = stored
+    positions = np.arange(len(names), dtype=np.float64)[:, None]
+    return Traversal(dataset, name, entry.traversals[name].condition, tuple(names), positions, digest)
+
+
+def _load_city(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
+    from artifact.datasets import city
+
+    traversal = entry.traversals[name]
+    rendered = city.rendered(
+        traversal.render or {}, store.cache_folder(manifest.path.parent) / "city", f"{dataset}/{name}"
+    )
+    names = folder.list_images(rendered)
+    positions, _ = folder.positions_from_csv(rendered / folder.POSITIONS_FILE, names)
+    return _traversal(manifest, dataset, name, traversal.condition, rendered, names, positions)
+
+
+def _traversal(
+    manifest: Manifest,
+    dataset: str,
+    name: str,
+    condition: str,
+    images: Path,
+    names: list[str],
+    positions: np.ndarray,
+) -> Traversal:
+    cache = store.cache_folder(manifest.path.parent)
+    digests = store.digest_of_files([images / image for image in names], cache)
+    digest = store.key(images=list(zip(names, digests, strict=True)))
+    return Traversal(dataset, name, condition, tuple(names), positions, digest, images)
+
+
+def _missing(dataset: str, entry: DatasetEntry, images: Path, manifest: Manifest) -> str:
+    lines = [
+        f"{dataset}: no folder {images}",
+        f"  the data root is {manifest.data_root} (set ARTIFACT_DATA_ROOT to change it)",
+    ]
+    lines += [f"  from {source.url} {source.note}".rstrip() for source in entry.sources]
+    if entry.obtain:
+        lines.append(f"  {entry.obtain.strip()}")
+    return os.linesep.join(lines)
+
+
+def _check_pair(name: str, entry: DatasetEntry, query: Traversal, database: Traversal) -> None:
+    if query.positions.shape[1] != database.positions.shape[1]:
+        raise DatasetError(
+            f"{name}: query positions have {query.positions.shape[1]} columns, database positions {database.positions.shape[1]}"
+        )
+    if entry.threshold.unit == "pairs":
+        stems = [[Path(image).stem for image in traversal.image_names] for traversal in (query, database)]
+        if stems[0] != stems[1]:
+            odd = sorted(set(stems[0]) ^ set(stems[1]))
+            what = f"{len(odd)} names have no partner, first {odd[0]!r}" if odd else "the order differs"
+            raise DatasetError(f"{name}: images are matched in pairs by file name, but {what}")
+    if entry.paper is not None:
+        for kind, traversal, count in (
+            ("query", query, entry.paper.queries),
+            ("database", database, entry.paper.database),
+        ):
+            if len(traversal) != count:
+                raise DatasetError(
+                    f"{name}/{traversal.name}: {len(traversal)} {kind} images, the paper lists {count}; "
+                    f"check the subset and the spacing, or remove the key 'paper' to go on with other data"
+                )
+
+
+def describe_missing(manifest: Manifest, name: str) -> str | None:
+    """Return why a dataset cannot be loaded here, or ``None`` if it can. Renders nothing."""
+    entry = entry_of(manifest, name)
+    if entry.kind == "city":
+        return None
+    try:
+        load(manifest, name)
+    except (DatasetError, ManifestError) as error:
+        return str(error)
+    return None

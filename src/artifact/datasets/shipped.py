@@ -1,0 +1,38 @@
+"""Real descriptors that ship with the package, for machines without the images.
+
+``shipped/<dataset>/traversals.json`` records the image names and content digest of each traversal; each
+``<traversal>-<method>.npy`` (float16) has a sidecar with the key that it was made under. They are used only when
+that key equals the key that the code at hand would use, so an outdated file is never passed off as current.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+
+def folder() -> Path:
+    """Return the package folder of shipped descriptors."""
+    return Path(str(files("artifact"))) / "shipped"
+
+
+def traversal(dataset: str, name: str) -> tuple[list[str], str] | None:
+    """Return the image names and content digest of a shipped traversal, or ``None`` if there is none."""
+    path = folder() / dataset / "traversals.json"
+    if not path.is_file():
+        return None
+    record = json.loads(path.read_text(encoding="utf-8")).get(name)
+    return (record["image_names"], record["digest"]) if record else None
+
+
+def descriptors(key: str) -> Path | None:
+    """Return the shipped ``.npy`` file that was made under ``key``, or ``None`` if there is none."""
+    return next((path for path, sidecar in _sidecars() if sidecar["key"] == key), None)
+
+
+def _sidecars() -> Iterator[tuple[Path, dict[str, Any]]]:
+    for path in sorted(folder().glob("*/*.npy")):
+        yield path, json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
