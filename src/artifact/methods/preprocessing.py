@@ -1,0 +1,95 @@
+"""From an image file to a model's input tensor, as the manifest says for each method."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+from torch.nn import functional
+
+from artifact.manifest import Preprocessing
+
+_PILLOW_FILTERS = {"bilinear": Image.Resampling.BILINEAR, "bicubic": Image.Resampling.BICUBIC}
+
+
+class UnreadableImageError(OSError):
+    """An image file that cannot be decoded; the message names it."""
+
+
+def read_image(path: Path, colour: str = "rgb") -> Image.Image:
+    """Decode an image file wholly.
+
+    Parameters
+    ----------
+    path
+        Any format that Pillow reads. EXIF rotation is not applied, as in the evaluation code of the methods.
+    colour
+        ``"rgb"`` or ``"grey"`` (ITU-R 601 luma).
+
+    Raises
+    ------
+    UnreadableImageError
+        If the file is missing, not an image, truncated or otherwise damaged.
+    """
+    try:
+        with Image.open(path) as image:
+            return image.convert("RGB" if colour == "rgb" else "L")
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise UnreadableImageError(f"{path}: {error}") from None
+
+
+def prepare(image: Image.Image, preprocessing: Preprocessing) -> torch.Tensor:
+    """Resize, crop and normalise one decoded image.
+
+    Returns
+    -------
+    torch.Tensor
+        ``(3, h, w)`` or ``(1, h, w)`` float32: ``(value / 255 - mean) / std``.
+    """
+    size = target_size(image.height, image.width, preprocessing)
+    if preprocessing.library == "pillow" and size != (image.height, image.width):
+        image = image.resize(size[::-1], _PILLOW_FILTERS[preprocessing.interpolation])
+    array = np.asarray(image)
+    tensor = (
+        torch.from_numpy(array.reshape(image.height, image.width, -1).copy()).permute(2, 0, 1).float() / 255
+    )
+    if preprocessing.library == "tensor" and tuple(tensor.shape[-2:]) != size:
+        tensor = functional.interpolate(
+            tensor[None],
+            size=size,
+            mode=preprocessing.interpolation,
+            align_corners=False,
+            antialias=preprocessing.antialias,
+        )[0]
+    tensor = _centre_crop(tensor, preprocessing.crop_to_multiple_of)
+    mean, std = (
+        torch.tensor(v, dtype=torch.float32).view(-1, 1, 1) for v in (preprocessing.mean, preprocessing.std)
+    )
+    return ((tensor - mean) / std).contiguous()
+
+
+def target_size(height: int, width: int, preprocessing: Preprocessing) -> tuple[int, int]:
+    """Return the height and width in pixels after resizing and before cropping.
+
+    Examples
+    --------
+    >>> target_size(480, 640, Preprocessing(resize="fixed", size=[322, 322]))
+    (322, 322)
+    >>> target_size(960, 1280, Preprocessing(resize="native", longest_side=1024))
+    (768, 1024)
+    """
+    if preprocessing.resize == "fixed":
+        return preprocessing.size[0], preprocessing.size[1]
+    longest = preprocessing.longest_side
+    if longest is not None and max(height, width) > longest:
+        scale = longest / max(height, width)
+        return round(height * scale), round(width * scale)
+    return height, width
+
+
+def _centre_crop(tensor: torch.Tensor, multiple: int) -> torch.Tensor:
+    height, width = (size - size % multiple for size in tensor.shape[-2:])
+    top, left = (tensor.shape[-2] - height) // 2, (tensor.shape[-1] - width) // 2
+    return tensor[:, top : top + height, left : left + width]
