@@ -1,0 +1,467 @@
+"""R@K, DAR@K and RSR@K, their sweeps, and :func:`evaluate`, which computes them from descriptors.
+
+The definitions are those of the paper, section III-B. With ``b`` database images and ``n`` allowed distractors
+above a query's best positive, the query is a hit at K without distractors when ``b < K`` and with distractors
+when ``b + n < K``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from scipy.stats import hypergeom
+
+from artifact.counting import Counts
+from artifact.ranking import ORIGINAL, ImageSet, LowRank, Options, Ranking, rank, squared_norms
+
+QUERY_POOL = "queries"
+Ties = Literal["for", "against"]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The outcome of one evaluation; all shares are fractions in [0, 1].
+
+    ``result["name"]`` is the same evaluation seen through a view; ``result.pool("name")`` the same with another
+    distractor pool.
+
+    Attributes
+    ----------
+    ranking
+        The per-query counts.
+    query_positions, database_positions
+        Positions of the evaluated queries ``(n, p)`` and of the database, in the unit of ``threshold``.
+    pool_positions
+        Positions of each distractor pool.
+    threshold
+        Positive threshold in metres or frames.
+    view, pool_name
+        Which view and pool this evaluation shows.
+    """
+
+    ranking: Ranking
+    query_positions: np.ndarray
+    database_positions: np.ndarray
+    pool_positions: dict[str, np.ndarray]
+    threshold: float
+    view: str = ORIGINAL
+    pool_name: str = QUERY_POOL
+
+    # -- what was evaluated ---------------------------------------------------------------------------------
+
+    @property
+    def n_queries(self) -> int:
+        """Number of evaluated queries: those with a positive in the database."""
+        return len(self.ranking.evaluated)
+
+    @property
+    def excluded_queries(self) -> int:
+        """Number of queries without a positive, which leave numerator, denominator and query pool."""
+        return self.ranking.n_listed - self.n_queries
+
+    @property
+    def evaluated(self) -> np.ndarray:
+        """Indices of the evaluated queries among those given; per-query arrays follow this order."""
+        return self.ranking.evaluated
+
+    @property
+    def n_distractors(self) -> int:
+        """Number of images in the distractor pool, N_D; each query may use those beyond the threshold."""
+        return self.ranking.pool_sizes[self.pool_name]
+
+    @property
+    def views(self) -> list[str]:
+        """Names of the views, ``"original"`` first."""
+        return list(self.ranking.database)
+
+    @property
+    def pools(self) -> list[str]:
+        """Names of the distractor pools."""
+        return list(self.ranking.pool_sizes)
+
+    def __getitem__(self, view: str) -> Evaluation:
+        if view not in self.ranking.database:
+            raise KeyError(f"no view {view!r}; the views are {', '.join(self.views)}")
+        return replace(self, view=view)
+
+    def pool(self, name: str) -> Evaluation:
+        """Return the same evaluation with the distractor pool ``name``."""
+        if name not in self.ranking.pool_sizes:
+            raise KeyError(f"no distractor pool {name!r}; the pools are {', '.join(self.pools)}")
+        return replace(self, pool_name=name)
+
+    # -- per query ------------------------------------------------------------------------------------------
+
+    @property
+    def database_counts(self) -> Counts:
+        """Counts over the cross-condition database."""
+        return self.ranking.database[self.view]
+
+    @property
+    def distractor_counts(self) -> Counts:
+        """Counts over the allowed distractors."""
+        return self.ranking.pools[self.view, self.pool_name]
+
+    def ranks(self, *, distractors: bool, ties: Ties = "for") -> np.ndarray:
+        """Return ``(n,)`` int64 ranks of the best positive; 1 is the top match.
+
+        Parameters
+        ----------
+        distractors
+            Whether allowed distractors are in the database.
+        ties
+            ``"for"`` the query: only images strictly above the best positive count. ``"against"`` it: images
+            level with it count too.
+        """
+        ranks = 1 + self.database_counts.beaters
+        if ties == "against":
+            ranks = ranks + self.database_counts.ties
+        if distractors:
+            ranks = ranks + self.distractor_counts.beaters
+            if ties == "against":
+                ranks = ranks + self.distractor_counts.ties
+        return ranks
+
+    def hits(self, k: int = 1, *, distractors: bool, ties: Ties = "for") -> np.ndarray:
+        """Return ``(n,)`` bool: whether a positive is among the top K."""
+        return self.ranks(distractors=distractors, ties=ties) <= _checked_k(k)
+
+    # -- metrics --------------------------------------------------------------------------------------------
+
+    def recall(self, k: int = 1, *, ties: Ties = "for") -> float:
+        """Return R@K: the share of queries with a positive among the top K of the database."""
+        return float(self.hits(k, distractors=False, ties=ties).mean())
+
+    def dar(self, k: int = 1, *, ties: Ties = "for") -> float:
+        """Return DAR@K: the same share with each query's allowed distractors added to the database."""
+        return float(self.hits(k, distractors=True, ties=ties).mean())
+
+    def rsr(self, k: int = 1) -> float:
+        """Return RSR@K = DAR@K / R@K: the share of successes that survive; NaN if R@K is 0."""
+        successes = self.hits(k, distractors=False).sum()
+        return float(self.hits(k, distractors=True).sum() / successes) if successes else float("nan")
+
+    # -- sweeps ---------------------------------------------------------------------------------------------
+
+    def dar_by_ratio(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
+        """Return the expected DAR@K when only a share of the distractor pool is used (paper Fig. 6a).
+
+        For ratio r, m = round(r N_D) pool images are drawn without replacement. Of the m drawn, the number that
+        beats query i's best positive is hypergeometric, so the expectation over all draws is exact.
+
+        Parameters
+        ----------
+        ratios
+            Shares of the pool in [0, 1]; 0 gives R@K and 1 gives DAR@K.
+        k
+            K.
+
+        Returns
+        -------
+        numpy.ndarray
+            ``(len(ratios),)`` float64.
+        """
+        sizes = self._sizes(ratios)
+        spare = _checked_k(k) - 1 - self.database_counts.beaters
+        beaters = self.distractor_counts.beaters
+        shares = np.empty(len(sizes))
+        for index, size in enumerate(sizes):
+            probability = hypergeom.cdf(spare, self.n_distractors, beaters, size)
+            shares[index] = np.where(spare < 0, 0.0, probability).mean()
+        return shares
+
+    def dar_by_ratio_draws(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
+        """Return DAR@K for nested random subsets of the pool, one row for each stored draw.
+
+        Within a row a larger ratio adds images to the smaller one's, as the paper samples. The spread between
+        rows is the spread of :meth:`dar_by_ratio` over draws.
+
+        Returns
+        -------
+        numpy.ndarray
+            ``(draws, len(ratios))`` float64.
+        """
+        sizes = self._sizes(ratios)
+        needed = self._needed(k)
+        first = self.distractor_counts.first
+        order = np.take_along_axis(first, np.maximum(needed - 1, 0)[:, None, None], axis=1)[:, 0]
+        hits = (order[:, :, None] >= sizes) & (needed > 0)[:, None, None]
+        return hits.mean(axis=0)
+
+    def dar_by_distance(self, distances: Sequence[float], k: int = 1) -> np.ndarray:
+        """Return DAR@K when only distractors farther than a distance are used (paper Fig. 6b).
+
+        Parameters
+        ----------
+        distances
+            Minimum distances in the unit of the threshold, from the threshold (all distractors: DAR@K) to
+            infinity (none: R@K).
+        k
+            K.
+
+        Returns
+        -------
+        numpy.ndarray
+            ``(len(distances),)`` float64.
+        """
+        limits = np.asarray(distances, np.float64)
+        if limits.ndim != 1 or not (limits >= self.threshold).all():
+            raise ValueError(
+                f"distances are {distances!r}; allowed: a list of numbers from the threshold {self.threshold:g} up"
+            )
+        needed = self._needed(k)
+        distance = np.take_along_axis(
+            self.distractor_counts.farthest, np.maximum(needed - 1, 0)[:, None], axis=1
+        )[:, 0]
+        hits = ~(distance[:, None] > limits) & (needed > 0)[:, None]
+        return hits.mean(axis=0)
+
+    def _sizes(self, ratios: Sequence[float]) -> np.ndarray:
+        values = np.asarray(ratios, np.float64)
+        if values.ndim != 1 or not ((values >= 0) & (values <= 1)).all():
+            raise ValueError(f"ratios are {ratios!r}; allowed: a list of numbers from 0 to 1")
+        return np.rint(values * self.n_distractors).astype(np.int64)
+
+    def _needed(self, k: int) -> np.ndarray:
+        """How many distractors must beat the best positive to push it out of the top K; 0 if it is out already."""
+        depth = self.distractor_counts.farthest.shape[1]
+        if _checked_k(k) > depth:
+            raise ValueError(
+                f"k is {k}; this evaluation keeps sweeps for K up to {depth}: raise the option depth"
+            )
+        return np.clip(k - self.database_counts.beaters, 0, k)
+
+    # -- retrieval lists ------------------------------------------------------------------------------------
+
+    def retrieved(self, k: int = 1, *, distractors: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return each query's top K images.
+
+        Parameters
+        ----------
+        k
+            Length of the list, at most the option ``retrieve``.
+        distractors
+            Whether allowed distractors are in the database.
+
+        Returns
+        -------
+        indices
+            ``(n, k)`` int64: database indices; a distractor with pool index ``j`` is ``n_database + j``; -1 where
+            there are fewer than K images.
+        similarities
+            ``(n, k)`` float32, in the order of the list. They are comparable within a query; for cosine divide
+            by the query's length to get the cosine itself.
+        """
+        stored = self.database_counts.top_index.shape[1]
+        if not 1 <= _checked_k(k) <= stored:
+            raise ValueError(
+                f"k is {k}; this evaluation keeps retrieval lists up to {stored}: raise the option retrieve"
+            )
+        indices, similarities = self.database_counts.top_index, self.database_counts.top_similarity
+        if distractors:
+            pool = self.distractor_counts
+            shifted = np.where(pool.top_index < 0, -1, pool.top_index + self.ranking.n_database)
+            indices = np.concatenate([indices, shifted], axis=1)
+            similarities = np.concatenate([similarities, pool.top_similarity], axis=1)
+            order = np.argsort(-similarities, axis=1, kind="stable")
+            indices = np.take_along_axis(indices, order, axis=1)
+            similarities = np.take_along_axis(similarities, order, axis=1)
+        return indices[:, :k], similarities[:, :k]
+
+
+def evaluate(
+    queries: np.ndarray,
+    database: np.ndarray,
+    query_positions: np.ndarray,
+    database_positions: np.ndarray,
+    threshold: float,
+    distractors: np.ndarray | Mapping[str, np.ndarray] | None = None,
+    distractor_positions: np.ndarray | Mapping[str, np.ndarray] | None = None,
+    views: Mapping[str, LowRank] | None = None,
+    similarity: str = "cosine",
+    device: Any = None,
+    **options: Any,
+) -> Evaluation:
+    """Evaluate descriptors: R@K, DAR@K and RSR@K for every K, and both sweeps, from one pass.
+
+    Parameters
+    ----------
+    queries, database
+        Descriptors ``(n, d)``, float32 or float16.
+    query_positions, database_positions
+        Positions ``(n, p)`` or ``(n,)`` in metres, or frame or pair indices.
+    threshold
+        A database image at most this far from a query is a positive; a pool image farther than it is an allowed
+        distractor. Same unit as the positions.
+    distractors, distractor_positions
+        Distractor pool, or several by name. ``None`` takes the evaluated queries themselves, the paper's main
+        setting.
+    views
+        Suppression transforms to evaluate in the same pass, by name.
+    similarity
+        ``"cosine"`` (descriptors are scaled to unit length, again after a view), ``"l2"`` or ``"dot"`` (they are
+        taken as they are, and must come with unit length).
+    device
+        ``None`` takes CUDA if there is any, else the CPU.
+    **options
+        ``depth``, ``draws``, ``retrieve``, ``seed``, ``memory`` of :class:`artifact.ranking.Options`.
+
+    Returns
+    -------
+    Evaluation
+        Metrics, sweeps and per-query counts.
+
+    Raises
+    ------
+    TypeError
+        If descriptors are not float32 or float16 arrays.
+    ValueError
+        If shapes do not fit, values are not finite, a length is zero (or not one, for ``l2`` and ``dot``), the
+        threshold is negative, or no query has a positive.
+
+    Examples
+    --------
+    Two places, seen by day (queries) and by night (database). The descriptor's first value tells day from night
+    strongly and the others tell the places apart weakly, so each query prefers the other day image.
+
+    >>> import numpy as np
+    >>> day = np.array([[3, 1, 0], [3, 0, 1]], dtype=np.float32)
+    >>> night = np.array([[-3, 1, 0], [-3, 0, 1]], dtype=np.float32)
+    >>> where = np.array([[0.0], [100.0]])
+    >>> result = evaluate(day, night, where, where, threshold=25)
+    >>> result.recall(1), result.dar(1), result.rsr(1), result.dar(2)
+    (1.0, 0.0, 0.0, 1.0)
+    """
+    chosen = _options(similarity, device, options)
+    threshold = _checked_threshold(threshold)
+    query_set = _image_set("queries", queries, query_positions, similarity)
+    database_set = _image_set("database", database, database_positions, similarity)
+    _same_width(("queries", query_set), ("database", database_set))
+    pools: dict[str, ImageSet | None] = {}
+    for name, (images, positions) in _named_pools(distractors, distractor_positions).items():
+        pools[name] = (
+            None if images is None else _image_set(f"distractors {name!r}", images, positions, similarity)
+        )
+        if pools[name] is not None:
+            _same_width(("queries", query_set), (f"distractors {name!r}", pools[name]))
+    ranking = rank(query_set, database_set, threshold, pools, views, chosen)
+    evaluated = query_set.positions[ranking.evaluated]
+    return Evaluation(
+        ranking=ranking,
+        query_positions=evaluated,
+        database_positions=database_set.positions,
+        pool_positions={name: evaluated if pool is None else pool.positions for name, pool in pools.items()},
+        threshold=threshold,
+        pool_name=next(iter(pools)),
+    )
+
+
+# -- the boundary: everything past here is trusted ----------------------------------------------------------
+
+
+def _options(similarity: str, device: Any, options: Mapping[str, Any]) -> Options:
+    if similarity not in ("cosine", "l2", "dot"):
+        raise ValueError(f"similarity is {similarity!r}; allowed: 'cosine', 'l2', 'dot'")
+    lowest = {"depth": 1, "draws": 0, "retrieve": 0, "seed": 0, "memory": 2**20}
+    for name, value in options.items():
+        if name not in lowest:
+            raise TypeError(f"unknown option {name!r}; allowed: {', '.join(lowest)}")
+        if not _is_integer(value) or value < lowest[name]:
+            raise ValueError(f"{name} is {value!r}; allowed: whole numbers from {lowest[name]}")
+    return Options(similarity=similarity, device=device, **options)
+
+
+def _named_pools(distractors: Any, positions: Any) -> dict[str, tuple[Any, Any]]:
+    if distractors is None:
+        if positions is not None:
+            raise ValueError("distractor_positions are given without distractors")
+        return {QUERY_POOL: (None, None)}
+    if positions is None:
+        raise ValueError("distractors are given without distractor_positions")
+    if isinstance(distractors, Mapping) != isinstance(positions, Mapping):
+        raise TypeError(
+            "distractors and distractor_positions must both be arrays or both be mappings by name"
+        )
+    if not isinstance(distractors, Mapping):
+        return {"distractors": (distractors, positions)}
+    if not distractors or set(distractors) != set(positions):
+        raise ValueError(
+            f"distractors are named {sorted(distractors)}, distractor_positions {sorted(positions)}; "
+            f"both need the same names, at least one"
+        )
+    return {name: (distractors[name], positions[name]) for name in distractors}
+
+
+def _image_set(name: str, descriptors: Any, positions: Any, similarity: str) -> ImageSet:
+    if not isinstance(descriptors, np.ndarray) or descriptors.dtype not in (np.float32, np.float16):
+        kind = (
+            f"an array of {descriptors.dtype}"
+            if isinstance(descriptors, np.ndarray)
+            else type(descriptors).__name__
+        )
+        raise TypeError(f"{name}: descriptors are {kind}; allowed: NumPy arrays of float32 or float16")
+    if descriptors.ndim != 2 or 0 in descriptors.shape:
+        raise ValueError(
+            f"{name}: descriptors have the shape {descriptors.shape}; allowed: (n, d), neither zero"
+        )
+    where = np.asarray(positions, np.float64)
+    where = where[:, None] if where.ndim == 1 else where
+    if where.ndim != 2 or where.shape[0] != len(descriptors) or where.shape[1] == 0:
+        raise ValueError(
+            f"{name}: positions have the shape {np.shape(positions)} for {len(descriptors)} descriptors; "
+            f"allowed: ({len(descriptors)}, p)"
+        )
+    if not np.isfinite(where).all():
+        raise ValueError(
+            f"{name}: the position of row {_first(~np.isfinite(where).all(axis=1))} is not finite"
+        )
+    squared = squared_norms(descriptors)
+    if not np.isfinite(squared).all():
+        raise ValueError(
+            f"{name}: row {_first(~np.isfinite(squared))} of the descriptors has NaN or infinite values"
+        )
+    if (squared == 0).any():
+        raise ValueError(
+            f"{name}: row {_first(squared == 0)} of the descriptors is all zeros and has no direction"
+        )
+    lengths = np.sqrt(squared)
+    if similarity != "cosine" and (np.abs(lengths - 1) > 1e-3).any():
+        row = _first(np.abs(lengths - 1) > 1e-3)
+        raise ValueError(
+            f"{name}: row {row} has length {lengths[row]:.4g}; similarity {similarity!r} needs unit-length "
+            f"descriptors: divide each row by its length, or use 'cosine'"
+        )
+    return ImageSet(descriptors, np.ascontiguousarray(where))
+
+
+def _same_width(first: tuple[str, ImageSet], second: tuple[str, ImageSet]) -> None:
+    for kind, widths in (
+        ("descriptors", [s.descriptors.shape[1] for _, s in (first, second)]),
+        ("positions", [s.positions.shape[1] for _, s in (first, second)]),
+    ):
+        if widths[0] != widths[1]:
+            raise ValueError(f"{kind} have {widths[0]} columns in {first[0]} and {widths[1]} in {second[0]}")
+
+
+def _first(mask: np.ndarray) -> int:
+    return int(np.flatnonzero(mask)[0])
+
+
+def _is_integer(value: Any) -> bool:
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
+def _checked_k(k: int) -> int:
+    if not _is_integer(k) or k < 1:
+        raise ValueError(f"k is {k!r}; allowed: whole numbers from 1")
+    return int(k)
+
+
+def _checked_threshold(threshold: float) -> float:
+    value = float(threshold)
+    if not np.isfinite(value) or value < 0:
+        raise ValueError(f"threshold is {threshold!r}; allowed: finite numbers from 0, in metres or frames")
+    return value

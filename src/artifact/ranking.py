@@ -1,0 +1,346 @@
+"""One streaming pass of similarity tiles gives the per-query counts behind every metric.
+
+Nothing is sorted, no similarity matrix is kept and no per-query database is built. A block of queries is
+multiplied with the whole database, which gives each query's best positive and the number of database images
+above it; then tiles of distractors add the number of allowed distractors above it. When the distractors are
+the queries themselves, the tiles are symmetric and only half of them are computed. Views (low-rank transforms of
+the descriptors) correct each tile instead of multiplying again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from artifact.counting import Counts
+from artifact.engines import CpuEngine, TorchEngine, engine_for
+
+Similarity = Literal["cosine", "dot", "l2"]
+
+ORIGINAL = "original"
+REVISION = 1  # raise when any count changes: it is part of the key of stored rankings
+
+_TILE_SIDE = 1024
+_LARGEST_ROWS = 2048
+
+
+class LowRank(Protocol):
+    """A transform ``r(x) = x - left @ (right.T @ x - offset)`` that can be evaluated as a view."""
+
+    def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return ``left`` ``(d, k)``, ``right`` ``(d, k)`` and ``offset`` ``(k,)``."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the pass keeps besides the counts, and how it runs.
+
+    Attributes
+    ----------
+    similarity
+        ``cosine`` scales every descriptor to unit length; ``dot`` and ``l2`` take them as they are.
+    depth
+        Sweeps over number and distance are available for K up to this.
+    draws
+        Random orders of each pool, for the spread of the sweep over the number of distractors.
+    retrieve
+        Length of the stored retrieval lists; 0 stores none.
+    seed
+        Seed of the random orders.
+    memory
+        Bytes that similarity tiles may take together.
+    device
+        ``None`` takes CUDA if there is any, else the CPU.
+    """
+
+    similarity: Similarity = "cosine"
+    depth: int = 10
+    draws: int = 10
+    retrieve: int = 0
+    seed: int = 0
+    memory: int = 256 * 2**20
+    device: str | torch.device | None = None
+
+
+@dataclass(frozen=True)
+class ImageSet:
+    """Descriptors ``(n, d)`` float32 or float16 with positions ``(n, p)`` float64, in the same order."""
+
+    descriptors: np.ndarray
+    positions: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Per-query counts of one evaluation: all that the metrics need.
+
+    Attributes
+    ----------
+    evaluated
+        ``(n,)`` indices of the queries that have a positive; all per-query arrays follow this order.
+    n_listed, n_database
+        Number of queries given, and of database images.
+    pool_sizes
+        Number of images in each distractor pool.
+    database
+        Counts over the database, by view.
+    pools
+        Counts over the allowed distractors, by view and pool.
+    """
+
+    evaluated: np.ndarray
+    n_listed: int
+    n_database: int
+    pool_sizes: dict[str, int]
+    database: dict[str, Counts]
+    pools: dict[tuple[str, str], Counts]
+
+
+def rank(
+    queries: ImageSet,
+    database: ImageSet,
+    threshold: float,
+    pools: Mapping[str, ImageSet | None],
+    views: Mapping[str, LowRank] | None = None,
+    options: Options | None = None,
+) -> Ranking:
+    """Rank every query's best positive against the database and against each distractor pool.
+
+    Parameters
+    ----------
+    queries, database
+        Checked image sets of one dimensionality.
+    threshold
+        Positives are database images at most this far from the query, allowed distractors are pool images
+        farther than it, in the unit of the positions (paper, definition of P_i and N_i).
+    pools
+        Distractor pools by name; ``None`` stands for the evaluated queries themselves.
+    views
+        Low-rank transforms to evaluate in the same pass, by name.
+    options
+        See :class:`Options`.
+
+    Returns
+    -------
+    Ranking
+        Counts for the view ``"original"`` and each of ``views``.
+
+    Raises
+    ------
+    ValueError
+        If no query has a positive.
+    """
+    options = options or Options()
+    n_listed = len(queries)
+    starts, positives = positives_of(queries.positions, database.positions, threshold)
+    evaluated = np.flatnonzero(np.diff(starts))
+    if evaluated.size == 0:
+        raise ValueError(
+            f"none of the {n_listed} queries has a database image within the threshold {threshold:g}; "
+            f"check that both positions use the same coordinates and that the threshold is in their unit"
+        )
+    if evaluated.size < n_listed:
+        queries = ImageSet(queries.descriptors[evaluated], queries.positions[evaluated])
+        starts = np.concatenate([[0], np.cumsum(np.diff(starts)[evaluated])])
+    transforms = {ORIGINAL: None, **(views or {})}
+    with engine_for(options.device) as engine:
+        run = _Pass(engine, queries, threshold, transforms, options)
+        in_database = run.over_database(database, starts, positives)
+        best = {view: counts.best for view, counts in in_database.items()}
+        in_pools = {
+            name: run.over_pool(queries if pool is None else pool, best) for name, pool in pools.items()
+        }
+    return Ranking(
+        evaluated=evaluated,
+        n_listed=n_listed,
+        n_database=len(database),
+        pool_sizes={name: len(queries if pool is None else pool) for name, pool in pools.items()},
+        database=in_database,
+        pools={(view, name): counts[view] for name, counts in in_pools.items() for view in transforms},
+    )
+
+
+def positives_of(
+    query_positions: np.ndarray, database_positions: np.ndarray, threshold: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """List the database images within a threshold (inclusive) of each query.
+
+    Returns
+    -------
+    starts
+        ``(n_queries + 1,)`` int64.
+    positives
+        The positives of query ``i`` are ``positives[starts[i]:starts[i + 1]]``, ascending database indices.
+
+    Examples
+    --------
+    >>> starts, positives = positives_of(np.array([[0.0], [9.0]]), np.array([[1.0], [2.0], [3.0]]), 2.0)
+    >>> starts.tolist(), positives.tolist()
+    ([0, 2, 2], [0, 1])
+    """
+    near = cKDTree(database_positions).query_ball_point(
+        query_positions, threshold * (1 + 1e-9), return_sorted=True
+    )
+    lengths = np.fromiter((len(found) for found in near), np.int64, len(near))
+    indices = np.fromiter((index for found in near for index in found), np.int64, int(lengths.sum()))
+    owners = np.repeat(np.arange(len(near)), lengths)
+    # The tree compares squared distances with a little slack; the definition decides.
+    inside = np.linalg.norm(query_positions[owners] - database_positions[indices], axis=1) <= threshold
+    counts = np.bincount(owners[inside], minlength=len(near))
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), indices[inside]
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """How one view reads an image set as tile columns: ``(tile - left @ right.T) * scale + bias``."""
+
+    right: np.ndarray
+    scale: np.ndarray
+    bias: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Pass:
+    engine: CpuEngine | TorchEngine
+    queries: ImageSet
+    threshold: float
+    transforms: Mapping[str, LowRank | None]
+    options: Options
+
+    def over_database(
+        self, database: ImageSet, starts: np.ndarray, positives: np.ndarray
+    ) -> dict[str, Counts]:
+        """Multiply blocks of queries with the whole database: best positives, and the images above them."""
+        options, n = self.options, len(self.queries)
+        columns, left = self._columns(database), self._left()
+        counts = {view: Counts.empty(n, options.depth, 0, options.retrieve) for view in self.transforms}
+        copies = 2 if len(self.transforms) > 1 else 1
+        step = max(1, min(_LARGEST_ROWS, options.memory // (4 * copies * len(database))))
+        for rows in _blocks(n, step):
+            tile = self.engine.product(
+                self.queries.descriptors, rows, database.descriptors, slice(0, len(database))
+            )
+            for view, column in columns.items():
+                correction = self.engine.correction(left[view][rows], column.right)
+                self.engine.count_database(
+                    tile, correction, column.scale, column.bias, starts, positives, rows.start, counts[view]
+                )
+        return counts
+
+    def over_pool(self, pool: ImageSet, best: Mapping[str, np.ndarray]) -> dict[str, Counts]:
+        """Count the allowed distractors of one pool above each query's best positive."""
+        options, n = self.options, len(self.queries)
+        columns, left = self._columns(pool), self._left()
+        counts = {
+            view: Counts.empty(n, options.depth, options.draws, options.retrieve) for view in self.transforms
+        }
+        for view in self.transforms:
+            counts[view].best[:] = best[view]
+        orders = _draw_orders(len(pool), options)
+        copies = 4 if len(self.transforms) > 1 else 2
+        step = max(1, min(_TILE_SIDE, math.isqrt(options.memory // (4 * copies))))
+        for rows, cols, mirrored in _tiles(n, len(pool), step, symmetric=pool is self.queries):
+            tile = self.engine.product(self.queries.descriptors, rows, pool.descriptors, cols)
+            turned = self.engine.transposed(tile) if mirrored else None
+            for view, column in columns.items():
+                correction = self.engine.correction(left[view][rows], column.right[cols])
+                self._count(tile, correction, column, rows, cols, pool, orders, counts[view])
+                if turned is not None:
+                    correction = self.engine.transposed(correction)
+                    self._count(turned, correction, column, cols, rows, pool, orders, counts[view])
+        return counts
+
+    def _count(self, tile, correction, column, rows, cols, pool, orders, counts) -> None:  # noqa: ANN001, PLR0917
+        self.engine.count_pool(
+            tile, correction, column.scale[cols], column.bias[cols], rows.start, cols.start,
+            self.queries.positions, pool.positions, self.threshold, orders, counts,
+        )  # fmt: skip
+
+    def _left(self) -> dict[str, np.ndarray]:
+        return {view: _factors(self.queries.descriptors, t)[0] for view, t in self.transforms.items()}
+
+    def _columns(self, images: ImageSet) -> dict[str, _Columns]:
+        """Norms of the (transformed) descriptors turn dot products into the chosen similarity."""
+        squared = squared_norms(images.descriptors)
+        columns = {}
+        for view, transform in self.transforms.items():
+            _, right, change = _factors(images.descriptors, transform)
+            norms = np.maximum(squared + change, 0.0)
+            ones, zeros = np.ones(len(norms), np.float32), np.zeros(len(norms), np.float32)
+            match self.options.similarity:
+                case "cosine":
+                    inverse = np.divide(1.0, np.sqrt(norms), out=np.zeros_like(norms), where=norms > 0)
+                    columns[view] = _Columns(right, inverse.astype(np.float32), zeros)
+                case "l2":
+                    columns[view] = _Columns(right, 2 * ones, -norms.astype(np.float32))
+                case "dot":
+                    columns[view] = _Columns(right, ones, zeros)
+        return columns
+
+
+def squared_norms(descriptors: np.ndarray) -> np.ndarray:
+    """Return ``(n,)`` float64 squared lengths, a block of rows at a time."""
+    squared = np.empty(len(descriptors))
+    for rows in _blocks(len(descriptors), max(1, 2**22 // max(1, descriptors.shape[1]))):
+        block = descriptors[rows].astype(np.float64)
+        squared[rows] = np.einsum("nd,nd->n", block, block)
+    return squared
+
+
+def _factors(descriptors: np.ndarray, transform: LowRank | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the row factor, the column factor and the change of the squared norms under a transform.
+
+    With ``a = right.T x - offset``, ``u = left.T x`` and ``G = left.T left``, the transformed dot product is
+    ``q'c' = qc - a_q u_c - (u_q - G a_q) a_c``.
+    """
+    if transform is None:
+        nothing = np.zeros((len(descriptors), 0), np.float32)
+        return nothing, nothing, np.zeros(len(descriptors))
+    left, right, offset = (np.asarray(part, np.float32) for part in transform.low_rank())
+    a = _project(descriptors, right) - offset
+    u = _project(descriptors, left)
+    remainder = u - a @ (left.T @ left)
+    change = -np.einsum("nk,nk->n", a, u, dtype=np.float64) - np.einsum(
+        "nk,nk->n", remainder, a, dtype=np.float64
+    )
+    return np.concatenate([a, remainder], axis=1), np.concatenate([u, a], axis=1), change
+
+
+def _project(descriptors: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    out = np.empty((len(descriptors), basis.shape[1]), np.float32)
+    for rows in _blocks(len(descriptors), max(1, 2**23 // max(1, descriptors.shape[1]))):
+        out[rows] = descriptors[rows].astype(np.float32, copy=False) @ basis
+    return out
+
+
+def _draw_orders(n: int, options: Options) -> np.ndarray:
+    """Return ``(n, draws)`` int32: the place of each pool image in each random order."""
+    generator = np.random.default_rng(options.seed)
+    orders = np.empty((n, options.draws), np.int32)
+    for draw in range(options.draws):
+        orders[:, draw] = generator.permutation(n)
+    return orders
+
+
+def _blocks(n: int, step: int) -> Iterator[slice]:
+    for start in range(0, n, step):
+        yield slice(start, min(start + step, n))
+
+
+def _tiles(n_rows: int, n_columns: int, step: int, *, symmetric: bool) -> Iterator[tuple[slice, slice, bool]]:
+    """Yield row and column slices; ``True`` marks a tile whose mirror image is not computed on its own."""
+    for rows in _blocks(n_rows, step):
+        for cols in _blocks(n_columns, step):
+            if not symmetric:
+                yield rows, cols, False
+            elif cols.start >= rows.start:
+                yield rows, cols, cols.start > rows.start
