@@ -1,0 +1,54 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Fig. 7: the condition of the distractors
+#
+# DAR with distractors from traversals of different conditions, the same number from each. The first set is the query
+# set itself (the setting of Table III); *none* is recall.
+
+# %% tags=["parameters", "hide-input"]
+profile = "demo"
+dataset = None  # None takes the first dataset of the profile with distractor traversals
+methods = None  # names from the manifest; None takes all of the profile
+k = 1
+seed = 0
+
+# %% tags=["hide-input"]
+from IPython.display import display
+
+from artifact import figures, findings, report, studies
+from artifact.notebook import open_page
+
+page = open_page(profile, None, methods)
+chosen = page.choose(dataset, distractor_traversals=True)
+study = studies.distractor_condition(page.manifest, chosen, page.methods, k=k, seed=seed)
+conditions = page.conditions(chosen)
+
+# %% tags=["remove-input"]
+display(report.finding(findings.own_condition_hurts_most(study.table, page.method_titles, *conditions, k)))
+display(report.label(page.only(chosen).label))
+figures.condition(study.table, page.method_titles, query_condition=conditions[0], k=k)
+
+# %% [markdown]
+# ## The paper's Fig. 7
+#
+# Drawn from the values that the paper plots for RobotCar. Not measured here.
+
+# %% tags=["remove-input"]
+figures.reported_condition(page.manifest)
+
+# %% tags=["remove-input"]
+display(report.download(study.table, "fig07_condition"))
+report.provenance(
+    {"profile": profile, "dataset": chosen, "methods": page.methods, "k": k, "seed": seed}, study
+)

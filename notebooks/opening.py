@@ -1,0 +1,68 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Are places recognised, or conditions?
+#
+# Visual place recognition (VPR) is usually tested with queries from one condition against a database from another: day
+# against night, summer against winter. A map that many people contribute to holds both. Then an image of *another*
+# place under the *query's* condition can look more like the query than the right place does: a **distractor**. The
+# paper behind this book, *Are Visual Place Recognition Models Recognizing Places or Conditions? Distractor-Augmented
+# Evaluation and Condition Suppression* {cite:p}`kim2026places`, measures that with **Distractor-Augmented Recall**
+# (DAR) and the **Recall Survival Rate** (RSR), over eleven methods and six datasets.
+#
+# This book recomputes its tables and figures from data. Every page shows what the paper claims, what *this run*
+# measured on which images with which methods, and whether the two agree.
+
+# %% tags=["parameters", "hide-input"]
+profile = "demo"
+datasets = None  # names from the manifest or folders; None takes all of the profile
+methods = None  # names from the manifest; None takes all of the profile
+seed = 0
+
+# %% tags=["hide-input"]
+from IPython.display import display
+
+from artifact import findings, report
+from artifact.notebook import open_page
+
+page = open_page(profile, datasets, methods)
+collected = findings.collect(page.manifest, page.datasets, page.methods, seed=seed)
+
+# %% tags=["remove-input"]
+display(report.scope_notice(page))
+display(report.headline(collected.recall, page.method_titles))
+
+# %% [markdown]
+# ## What was claimed, what was measured, and whether they agree
+
+# %% tags=["remove-input"]
+report.findings_table(collected.findings)
+
+# %% [markdown]
+# *Agrees* means that the claim holds on the data and methods of this run, by the rule that the linked page states. It
+# does not mean that the paper's numbers were reproduced: that needs the paper's datasets and weights (profile
+# `paper`), and each page then compares number with number.
+#
+# ## How to read on
+#
+# - [Table III](tab03.ipynb) is the main result, [Figs. 5](fig05.ipynb), [6](fig06.ipynb) and [7](fig07.ipynb) take it
+#   apart; [Fig. 4](fig04.ipynb) has the definitions.
+# - [The City](city.ipynb) is the rendered town that lets all of this run on any machine with no download.
+# - [Protocol](protocol.ipynb) lists every choice that the paper leaves open, with our default and what it changes.
+# - [A new dataset or method](../new.md) shows how to put your own images in, and [Status](status.md) says what ran, when and
+#   on which machine.
+
+# %% tags=["remove-input"]
+report.provenance(
+    {"profile": profile, "datasets": page.datasets, "methods": page.methods, "seed": seed}, *collected.studies
+)

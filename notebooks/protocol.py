@@ -1,0 +1,51 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Protocol
+#
+# What the paper fixes and what it leaves open. Each row is a parameter or a rule of the library with the default used
+# everywhere in this book. Below, the open choices that are cheap to vary are varied.
+
+# %% tags=["parameters", "hide-input"]
+profile = "demo"
+datasets = None  # names from the manifest or folders; None takes all of the profile
+methods = None  # names from the manifest; None takes all of the profile
+k = 1
+seed = 0
+
+# %% tags=["hide-input"]
+from IPython.display import display
+
+from artifact import protocol, report
+from artifact.notebook import open_page
+
+page = open_page(profile, datasets, methods)
+report.protocol_table(protocol.DECISIONS)
+
+# %% [markdown]
+# ## What the open choices change
+#
+# *Similarity*: Euclidean distance and dot product rank unit-length descriptors exactly as the cosine does, so they are
+# not listed. *Ties*: the difference when images that are level with the best positive count against the query.
+# *Excluded queries*: the difference when queries without a positive stay in the denominator. *Threshold*: DAR when
+# only distractors beyond twice the threshold are used, which shows how much depends on images just outside it.
+# *Database order*, *tile sizes* and *number of worker processes* change nothing; the tests assert it.
+
+# %% tags=["remove-input"]
+study = protocol.sensitivity(page.manifest, page.datasets, page.methods, k=k, seed=seed)
+display(report.label(page.label))
+report.sensitivity_table(study.table, page.method_titles, k=k)
+
+# %% tags=["remove-input"]
+display(report.download(study.table, "protocol_sensitivity"))
+report.provenance({"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study)

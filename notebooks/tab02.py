@@ -1,0 +1,50 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Table II: methods
+#
+# What each method is, how images are prepared for it, and how fast it ran here. *Baselines* run on any machine with
+# no download and are not methods of the paper; they keep every page of this book real.
+
+# %% tags=["parameters", "hide-input"]
+profile = "demo"
+datasets = None  # datasets whose extraction times are shown; None takes all of the profile
+methods = None  # names from the manifest; None takes all of the profile
+
+# %% tags=["hide-input"]
+from IPython.display import display
+
+from artifact import report, studies
+from artifact.notebook import open_page
+
+page = open_page(profile, datasets, methods)
+study = studies.methods_table(page.manifest, page.datasets, page.methods)
+
+# %% [markdown]
+# ## Methods of this run
+
+# %% tags=["remove-input", "full-width"]
+report.methods_table(study.table)
+
+# %% [markdown]
+# *Images per second* is the model's own forward rate while extracting, *busy* the share of the extraction's wall time
+# that the model was computing; both are of the machine that extracted the descriptors.
+#
+# ## The paper's Table II
+
+# %% tags=["remove-input", "full-width"]
+report.reported_methods_table(page.manifest)
+
+# %% tags=["remove-input"]
+display(report.download(study.table, "tab02_methods"))
+report.provenance({"profile": profile, "datasets": page.datasets, "methods": page.methods}, study)

@@ -1,0 +1,70 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Table III: recall, with and without distractors
+#
+# Each method ranks every query against the cross-condition database (R@K) and against the same database plus the
+# query's distractors (DAR@K). RSR@K = DAR@K / R@K is the share of successes that survive.
+
+# %% tags=["parameters", "hide-input"]
+profile = "demo"
+datasets = None  # names from the manifest or folders; None takes all of the profile
+methods = None  # names from the manifest; None takes all of the profile
+k = 1
+seed = 0
+
+# %% tags=["hide-input"]
+from IPython.display import display
+
+from artifact import findings, report, studies
+from artifact.notebook import open_page
+
+page = open_page(profile, datasets, methods)
+study = studies.recall_table(page.manifest, page.datasets, page.methods, k=k, seed=seed)
+
+# %% tags=["remove-input", "full-width"]
+display(
+    report.finding(
+        findings.distractors_lower_recall(study.table, page.method_titles, k),
+        findings.ranking_changes(study.table, page.method_titles, k),
+    )
+)
+report.recall_table(study.table, page.method_titles, k=k, label=page.label)
+
+# %% [markdown]
+# <span class="legend-mark best">best</span> <span class="legend-mark second">second</span>
+# <span class="legend-mark worst">worst</span> per column; superscripts rank the means (1 is best). All values in
+# percent, higher is better. The mean is over all datasets shown.
+#
+# ## Measured beside reported
+#
+# Intervals are 95 % block-bootstrap intervals over consecutive queries: neighbouring images succeed and fail together, so
+# treating them as independent would give intervals that are too narrow. A verdict is given only where the paper
+# reports the same dataset with the same method.
+
+# %% tags=["remove-input"]
+report.beside_reported(study.table, page.method_titles, k=k)
+
+# %% [markdown]
+# ## The paper's Table III
+#
+# For comparison, the paper's own numbers for its eleven methods and six datasets. They are not measured here.
+
+# %% tags=["remove-input", "full-width"]
+report.reported_recall_table(page.manifest)
+
+# %% tags=["remove-input"]
+display(report.download(study.table, "tab03_recall"))
+report.provenance(
+    {"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study
+)

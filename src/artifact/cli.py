@@ -1,0 +1,243 @@
+"""The command line: ``python -m artifact {reproduce,data,extract,run,book,evaluate,verify,bench,status}``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from artifact import __version__
+
+EPILOG = "The Makefile calls these commands; `make help` lists them. See README.md for what each costs."
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return the exit status: 0, 1 for a failed run, 2 for unusable arguments."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    try:
+        return options.command(options) or 0
+    except KeyboardInterrupt:
+        sys.stderr.write("\nstopped; what is finished stays, run the same command again to go on\n")
+        return 130
+    except _user_errors() as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 1
+
+
+def _user_errors() -> tuple[type[Exception], ...]:
+    """Errors that are addressed to the user: shown without a traceback."""
+    from artifact.book import BookError
+    from artifact.datasets import DatasetError
+    from artifact.extract import ExtractionError
+    from artifact.manifest import ManifestError
+    from artifact.parameters import ParameterError
+    from artifact.runner import NotebookError
+    from artifact.store import StoreError
+
+    return (
+        BookError, DatasetError, ExtractionError, ManifestError, ParameterError, NotebookError, StoreError,
+        FileNotFoundError,
+    )  # fmt: skip
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="artifact", description=__doc__.splitlines()[0], epilog=EPILOG)
+    parser.add_argument("--version", action="version", version=f"artifact {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="command")
+
+    def command(
+        name: str, function: Callable[[argparse.Namespace], int | None], text: str
+    ) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=text)
+        sub.set_defaults(command=function)
+        sub.add_argument(
+            "--manifest", type=Path, help="manifest file (default: the nearest data_manifest.yaml)"
+        )
+        return sub
+
+    def scope(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument("--profile", default="demo", help="profile of the manifest (default: demo)")
+
+    def notebooks(sub: argparse.ArgumentParser) -> None:
+        scope(sub)
+        sub.add_argument(
+            "--only",
+            nargs="+",
+            default=[],
+            metavar="NOTEBOOK",
+            help="run only these, for example: tab03 fig05",
+        )
+        sub.add_argument("-p", "--parameter", action="append", default=[], metavar="[NOTEBOOK.]NAME=VALUE",
+                         help="set a notebook parameter, for one notebook or for all that have it; VALUE is YAML")  # fmt: skip
+        sub.add_argument("--jobs", type=int, help="notebooks that run at once (default: the number of cores)")
+        sub.add_argument(
+            "--force", action="store_true", help="run notebooks again even where nothing changed"
+        )
+
+    sub = command(
+        "reproduce", _reproduce, "make datasets and descriptors ready, run the notebooks, build the book"
+    )
+    notebooks(sub)
+    sub = command("run", _run, "as reproduce, without building the book")
+    notebooks(sub)
+    sub = command("book", _book, "build the book from the executed notebooks, running none")
+    sub = command("data", _data, "make the datasets of a profile ready and say which are missing")
+    scope(sub)
+    sub = command("extract", _extract, "extract the descriptors of a profile")
+    scope(sub)
+    sub.add_argument("--device", help="for example cpu, cuda or cuda:1 (default: CUDA if there is any)")
+    sub.add_argument("--ship", metavar="DATASET", help="for maintainers: store this dataset's descriptors in the package")
+    sub = command("evaluate", _evaluate, "print R@K, DAR@K and RSR@K of datasets and methods")
+    scope(sub)
+    sub.add_argument("--datasets", nargs="+", help="names or folders (default: those of the profile)")
+    sub.add_argument("--methods", nargs="+", help="names (default: those of the profile)")
+    sub.add_argument("--k", type=int, default=1)
+    sub = command(
+        "verify",
+        _verify,
+        "check stored descriptors against their sidecars and measurements against the paper",
+    )
+    scope(sub)
+    sub = command(
+        "bench",
+        _bench,
+        "time the ranking pass against a bare matrix product, and extraction against the model",
+    )
+    sub = command("status", _status, "show the state of data, descriptors and the last run")
+    scope(sub)
+    return parser
+
+
+def _manifest(options: argparse.Namespace) -> Any:
+    from artifact import manifest
+
+    return manifest.load(options.manifest)
+
+
+def asked_parameters(texts: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Parse ``[notebook.]name=value`` texts; ``"*"`` stands for all notebooks.
+
+    Examples
+    --------
+    >>> asked_parameters(["k=5", "fig06.ratios=[0, 0.5, 1]"])
+    {'*': {'k': 5}, 'fig06': {'ratios': [0, 0.5, 1]}}
+    """
+    from artifact.parameters import ParameterError
+
+    asked: dict[str, dict[str, Any]] = {}
+    for text in texts:
+        target, equals, value = text.partition("=")
+        notebook, dot, name = target.rpartition(".")
+        if not equals or not name.isidentifier() or (dot and not notebook):
+            raise ParameterError(f"{text!r} is not [NOTEBOOK.]NAME=VALUE, for example k=5 or fig06.k=5")
+        try:
+            asked.setdefault(notebook or "*", {})[name] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise ParameterError(f"{text!r}: the value is not valid YAML") from None
+    return asked
+
+
+def _run(options: argparse.Namespace) -> None:
+    from artifact import book, runner
+
+    manifest = _manifest(options)
+    tasks = runner.plan(
+        manifest, options.profile, only=options.only, asked=asked_parameters(options.parameter)
+    )
+    with book.timed() as preparation:
+        runner.prepare(manifest, tasks)
+    outcomes = runner.run(
+        manifest, tasks, book.executed_folder(manifest), jobs=options.jobs, force=options.force
+    )
+    book.record_run(manifest, options.profile, tasks, outcomes, preparation.seconds)
+    ran = [outcome for outcome in outcomes if not outcome.cached]
+    sys.stdout.write(f"notebooks: {len(ran)} run, {len(outcomes) - len(ran)} unchanged\n")
+
+
+def _reproduce(options: argparse.Namespace) -> None:
+    _run(options)
+    _book(options)
+
+
+def _book(options: argparse.Namespace) -> None:
+    from artifact import book
+
+    manifest = _manifest(options)
+    built, seconds = book.build(manifest)
+    what = f"built in {seconds:.0f} s" if seconds is not None else "unchanged"
+    sys.stdout.write(f"book: {what}; open {built}\n")
+
+
+def _data(options: argparse.Namespace) -> int:
+    from artifact import datasets, runner
+
+    manifest = _manifest(options)
+    missing = 0
+    for name in manifest.profile(options.profile).datasets:
+        try:
+            traversals = runner.load_all(manifest, name)
+        except datasets.DatasetError as error:
+            missing += 1
+            sys.stdout.write(f"{name}: missing\n{error}\n")
+            continue
+        for traversal in traversals:
+            state = str(traversal.folder) if traversal.folder else "shipped descriptors only"
+            sys.stdout.write(f"{name}/{traversal.name}: {len(traversal)} images, {state}\n")
+    return 1 if missing else 0
+
+
+def _extract(options: argparse.Namespace) -> None:
+    from artifact import extract, runner, shipping
+
+    manifest = _manifest(options)
+    profile = manifest.profile(options.profile)
+    if options.ship:
+        for path in shipping.ship(manifest, options.ship, profile.methods):
+            sys.stdout.write(f"{path}\n")
+        return
+    for name in profile.datasets:
+        for traversal in runner.load_all(manifest, name):
+            for method in profile.methods:
+                found = extract.descriptors(manifest, traversal, method, device=options.device, progress=True)
+                sys.stdout.write(
+                    f"{method} · {name}/{traversal.name}: {found.values.shape} from {found.source}\n"
+                )
+
+
+def _evaluate(options: argparse.Namespace) -> None:
+    from artifact import studies
+
+    manifest = _manifest(options)
+    profile = manifest.profile(options.profile)
+    study = studies.recall_table(
+        manifest, options.datasets or profile.datasets, options.methods or profile.methods, k=options.k
+    )
+    shown = study.table[["title", "method", "R", "DAR", "RSR", "queries", "origin"]]
+    sys.stdout.write(shown.to_string(index=False, float_format=lambda value: f"{value:.2f}") + "\n")
+
+
+def _verify(options: argparse.Namespace) -> int:
+    from artifact import verification
+
+    lines, faults = verification.verify(_manifest(options), options.profile)
+    sys.stdout.write("".join(f"{line}\n" for line in lines))
+    return 1 if faults else 0
+
+
+def _bench(options: argparse.Namespace) -> None:
+    from artifact import bench
+
+    for line in bench.run(_manifest(options)):
+        sys.stdout.write(f"{line}\n")
+
+
+def _status(options: argparse.Namespace) -> None:
+    from artifact import book
+
+    for line in book.status_lines(_manifest(options), options.profile):
+        sys.stdout.write(f"{line}\n")

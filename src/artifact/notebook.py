@@ -1,0 +1,122 @@
+"""What every notebook does first: settle which datasets and methods it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from artifact import datasets as data
+from artifact import manifest as manifests
+from artifact.manifest import Manifest, ManifestError
+from artifact.plotting import use_style
+
+__all__ = ["Page", "open_page"]
+
+
+@dataclass(frozen=True)
+class Page:
+    """The settled scope of one notebook.
+
+    Attributes
+    ----------
+    manifest
+        The manifest.
+    profile
+        Name of the profile.
+    datasets, methods
+        Names, in the order shown.
+    """
+
+    manifest: Manifest
+    profile: str
+    datasets: tuple[str, ...]
+    methods: tuple[str, ...]
+
+    @property
+    def method_titles(self) -> dict[str, str]:
+        """Printed title of each method shown."""
+        return {name: self.manifest.method(name).title for name in self.methods}
+
+    @property
+    def dataset_titles(self) -> dict[str, str]:
+        """Printed title of each dataset shown."""
+        return {name: data.entry_of(self.manifest, name).title for name in self.datasets}
+
+    @property
+    def label(self) -> str:
+        """One line that says what the numbers on the page are from."""
+        kinds = {self.manifest.method(name).kind for name in self.methods}
+        what = {"baseline": "baselines, not methods of the paper", "paper": "methods of the paper"}
+        rendered = [
+            t for n, t in self.dataset_titles.items() if data.entry_of(self.manifest, n).kind == "city"
+        ]
+        real = [t for n, t in self.dataset_titles.items() if data.entry_of(self.manifest, n).kind != "city"]
+        images = []
+        if real:
+            images.append(f"real images ({', '.join(real)})")
+        if rendered:
+            images.append(f"rendered images ({len(rendered)} City pairs)")
+        return f"Measured by profile “{self.profile}” on {' and '.join(images)} with {' and '.join(what[k] for k in sorted(kinds))}."
+
+    def only(self, dataset: str) -> Page:
+        """Return the page narrowed to one dataset."""
+        return replace(self, datasets=(dataset,))
+
+    def choose(
+        self, dataset: str | None, *, unit: str | None = None, distractor_traversals: bool = False
+    ) -> str:
+        """Return the named dataset, or the first of the profile that suits.
+
+        Parameters
+        ----------
+        dataset
+            A name, or ``None``.
+        unit
+            Unit that the threshold must have.
+        distractor_traversals
+            Whether traversals of further conditions must be there.
+
+        Raises
+        ------
+        ManifestError
+            If none suits; the message says what is needed.
+        """
+        for name in self.datasets if dataset is None else [dataset]:
+            entry = data.entry_of(self.manifest, name)
+            if (unit is None or entry.threshold.unit == unit) and (
+                entry.distractor_traversals or not distractor_traversals
+            ):
+                return name
+        needs = [f"a threshold in {unit}"] if unit else []
+        needs += ["the key distractor_traversals"] if distractor_traversals else []
+        where = f"dataset {dataset!r}" if dataset else f"no dataset of profile {self.profile!r}"
+        raise ManifestError(f"{where}: this page needs a dataset with {' and '.join(needs)}")
+
+    def conditions(self, dataset: str) -> tuple[str, str]:
+        """Return the conditions of a dataset's query and database."""
+        entry = data.entry_of(self.manifest, dataset)
+        return entry.traversals[entry.query].condition, entry.traversals[entry.database].condition
+
+
+def open_page(
+    profile: str, datasets: Sequence[str] | None = None, methods: Sequence[str] | None = None
+) -> Page:  # fmt: skip
+    """Settle a notebook's scope and set the figure style.
+
+    Parameters
+    ----------
+    profile
+        Profile of the manifest.
+    datasets, methods
+        Names; ``None`` takes all of the profile.
+    """
+    use_style()
+    manifest = manifests.load()
+    entry = manifest.profile(profile)
+    chosen = tuple(entry.datasets if datasets is None else datasets)
+    described = tuple(entry.methods if methods is None else methods)
+    for name in chosen:
+        data.entry_of(manifest, name)
+    for name in described:
+        manifest.method(name)
+    return Page(manifest, profile, chosen, described)

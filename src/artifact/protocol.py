@@ -1,0 +1,76 @@
+"""Every choice that the paper leaves open, our default for it, and how much the cheap ones matter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from artifact import datasets as data
+from artifact import pipeline
+from artifact.manifest import Manifest
+from artifact.studies import PERCENT, Study
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One choice: what it is about, what the paper says, what we do."""
+
+    topic: str
+    paper: str
+    ours: str
+
+
+DECISIONS = (
+    Decision("Positive", "within the threshold", "distance ≤ threshold, inclusive; frame tolerance: index difference in the dataset's own list of images; exact match: equal pair index"),
+    Decision("Excluded queries", "queries without a ground-truth match are excluded", "they leave numerator, denominator and the distractor pool; their number is printed"),
+    Decision("Distractors of a query", "pool images outside the threshold", "distance > threshold, strictly; the default pool is the evaluated queries themselves"),
+    Decision("Similarity", "not stated", "cosine; l2 and dot are options"),
+    Decision("Rank of the best positive", "not stated for ties", "1 + images strictly more similar: ties favour the query; the count under the opposite rule is kept and a gap is reported"),
+    Decision("R@K, DAR@K, RSR@K", "defined", "share of evaluated queries with rank ≤ K, without and with distractors; RSR@K = DAR@K / R@K, undefined where R@K is 0"),
+    Decision("Mean over datasets", "unweighted", "unweighted mean of the datasets shown; equal means share the better rank"),
+    Decision("Number sweep", "random samples of the pool", "round(ratio × pool size) images without replacement; the exact expectation over all draws, and the spread of ten nested draws"),
+    Decision("Distance sweep", "distractors beyond a distance", "distance > minimum, strictly, from the threshold to infinity"),
+    Decision("Condition sweep", "same number from each traversal", "each pool cut at random, by the seed, to the smallest pool"),
+    Decision("Input size", "not stated", "the authors' evaluation code of each method; a manifest value for each"),
+    Decision("CricaVPR batches", "16 images", "16 in natural file order within a traversal, the last batch smaller; the same descriptors serve as query and as distractor"),
+    Decision("Precision", "not stated", "descriptors float32, distances float64; no TF32; float16 storage is an explicit option"),
+    Decision("Intervals", "none", "95 %, circular block bootstrap over consecutive queries, 1,000 resamples"),
+)  # fmt: skip
+
+
+def sensitivity(
+    manifest: Manifest, names: Iterable[str], methods: Iterable[str], *, k: int = 1, seed: int = 0
+) -> Study:
+    """Measure what the open choices change, without a second pass.
+
+    Returns
+    -------
+    Study
+        One row per dataset and method: ``R`` and ``DAR`` in percent under the defaults, and their change in
+        percentage points: ``ties_R``, ``ties_DAR`` (ties against the query), ``excluded_R``, ``excluded_DAR``
+        (excluded queries in the denominator), ``beyond_DAR`` (only distractors beyond twice the threshold; NaN
+        where the threshold is 0).
+    """
+    rows, inputs = [], []
+    for name in names:
+        for method in methods:
+            measured = pipeline.evaluation(manifest, name, method, seed=seed)
+            result = measured.evaluation
+            recall, dar = result.recall(k), result.dar(k)
+            kept = result.n_queries / (result.n_queries + result.excluded_queries)
+            beyond = result.dar_by_distance([2 * result.threshold], k)[0] - dar if result.threshold else np.nan
+            changes = {
+                "ties_R": result.recall(k, ties="against") - recall,
+                "ties_DAR": result.dar(k, ties="against") - dar,
+                "excluded_R": recall * (kept - 1),
+                "excluded_DAR": dar * (kept - 1),
+                "beyond_DAR": beyond,
+            }
+            row = {"dataset": name, "title": data.entry_of(manifest, name).title, "method": method}
+            row |= {"R": PERCENT * recall, "DAR": PERCENT * dar}
+            rows.append(row | {column: PERCENT * change for column, change in changes.items()})
+            inputs += measured.inputs
+    return Study(pd.DataFrame(rows), tuple(inputs))

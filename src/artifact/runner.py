@@ -1,0 +1,312 @@
+"""Notebooks → executed notebooks, in parallel, each run once per content of its inputs.
+
+The key of an executed notebook holds its cells and parameters, the library's sources, the datasets and methods it
+uses, and the versions that ran it. Equal key: the stored notebook is used. A failed notebook is never stored.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jupytext
+import nbformat
+import papermill
+from papermill.exceptions import PapermillExecutionError
+from tqdm import tqdm
+
+from artifact import datasets, extract, methods, parameters, store
+from artifact.manifest import Manifest
+
+_RUN_WITH = ("papermill", "ipykernel", "numpy", "torch", "scikit-learn", "pandas", "matplotlib")
+
+
+class NotebookError(RuntimeError):
+    """One or more notebooks failed; the message names notebook, cell and error."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A notebook with the parameters of one run.
+
+    Attributes
+    ----------
+    path
+        The ``.py`` source.
+    parameters
+        Checked values of all its parameters.
+    datasets, methods
+        What it uses, so that it can be made ready before.
+    """
+
+    path: Path
+    parameters: dict[str, Any]
+    datasets: tuple[str, ...]
+    methods: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """File name without its ending, for example ``tab03``."""
+        return self.path.stem
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a task."""
+
+    name: str
+    key: str
+    cached: bool
+    seconds: float
+    parameters: dict[str, Any] = field(repr=False)
+    error: str | None = None
+
+
+def plan(
+    manifest: Manifest,
+    profile: str,
+    *,
+    only: Sequence[str] = (),
+    asked: Mapping[str, Mapping[str, Any]] | None = None,
+    folder: Path | None = None,
+) -> list[Task]:
+    """Find the notebooks and check every parameter, before anything runs.
+
+    Parameters
+    ----------
+    manifest, profile
+        The profile sets ``profile`` and may set further parameters of each notebook.
+    only
+        Names of notebooks; default all.
+    asked
+        Parameters by notebook name; those under ``"*"`` go to every notebook that has them.
+    folder
+        Folder of the notebooks; default ``notebooks`` beside the manifest.
+
+    Raises
+    ------
+    ParameterError
+        If a notebook or parameter is unknown or a value is not allowed.
+    """
+    folder = folder or manifest.path.parent / "notebooks"
+    found = {path.stem: path for path in sorted(folder.glob("*.py"))}
+    asked = dict(asked or {})
+    everywhere = dict(asked.pop("*", {}))
+    unknown = [name for name in (*only, *asked) if name not in found]
+    if unknown:
+        raise parameters.ParameterError(
+            f"no notebook {unknown[0]!r} in {folder}; allowed: {', '.join(found)}"
+        )
+    entry = manifest.profile(profile)
+    tasks, used = [], set()
+    for name, path in found.items():
+        if only and name not in only:
+            continue
+        defaults = parameters.read(path)
+        here = {key: value for key, value in everywhere.items() if key in defaults}
+        used |= set(here)
+        base = {"profile": profile} if "profile" in defaults else {}
+        wanted = {**base, **entry.parameters.get(name, {}), **here, **asked.get(name, {})}
+        values = parameters.merged(path, wanted, manifest)
+        tasks.append(Task(path, values, *_scope(manifest, profile, values)))
+    if unused := set(everywhere) - used:
+        raise parameters.ParameterError(f"no notebook has a parameter {sorted(unused)[0]!r}")
+    return tasks
+
+
+def _scope(
+    manifest: Manifest, profile: str, values: Mapping[str, Any]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Datasets and methods that a notebook uses, read off its parameters."""
+    entry = manifest.profile(profile)
+
+    def chosen(several: str, one: str, default: Sequence[str]) -> tuple[str, ...]:
+        if several in values:
+            return tuple(default if values[several] is None else values[several])
+        if one in values:
+            return tuple(default) if values[one] is None else (values[one],)
+        return ()
+
+    names = chosen("datasets", "dataset", entry.datasets)
+    return names, chosen("methods", "method", entry.methods) if names else ()
+
+
+def prepare(manifest: Manifest, tasks: Sequence[Task], *, device: str | None = None) -> None:
+    """Render or find every dataset and extract every descriptor that the tasks use, with progress bars."""
+    pairs = dict.fromkeys(
+        (dataset, method) for task in tasks for dataset in task.datasets for method in task.methods
+    )
+    loaded = {
+        name: load_all(manifest, name)
+        for name in dict.fromkeys(name for task in tasks for name in task.datasets)
+    }
+    for dataset, method in pairs:
+        for traversal in loaded[dataset]:
+            extract.descriptors(manifest, traversal, method, device=device, progress=True)
+
+
+def load_all(manifest: Manifest, dataset: str) -> list[datasets.Traversal]:
+    """Load the query, the database, and every further traversal that is at hand.
+
+    Raises
+    ------
+    DatasetError
+        If the query or the database is missing. A missing further traversal fails the notebook that needs it.
+    """
+    loaded = list(datasets.load(manifest, dataset).traversals.values())
+    for name in datasets.entry_of(manifest, dataset).traversals:
+        if name not in {traversal.name for traversal in loaded}:
+            with contextlib.suppress(datasets.DatasetError):
+                loaded.append(datasets.load_traversal(manifest, dataset, name))
+    return loaded
+
+
+def run(
+    manifest: Manifest, tasks: Sequence[Task], output: Path, *, jobs: int | None = None, force: bool = False
+) -> list[Outcome]:
+    """Run the tasks that have no stored result, in parallel, and put all executed notebooks into ``output``.
+
+    Parameters
+    ----------
+    manifest, tasks
+        As from :func:`plan`, with everything prepared.
+    output
+        Folder that receives ``<name>.ipynb``.
+    jobs
+        Notebooks that run at once; default the number of cores, at most 8.
+    force
+        Run even where a stored result has the same key.
+
+    Raises
+    ------
+    NotebookError
+        If any notebook fails, after all have ended.
+    """
+    # A kernel of another environment must not be picked up from the user's Jupyter settings.
+    os.environ |= {"JUPYTER_PREFER_ENV_PATH": "1", "JUPYTER_PATH": ""}
+    shared = _shared_inputs(manifest)
+    fingerprints = {
+        name: _fingerprint(manifest, name) for name in dict.fromkeys(n for t in tasks for n in t.datasets)
+    }
+    jobs = jobs or min(8, os.cpu_count() or 1)
+    with (
+        ThreadPoolExecutor(jobs) as pool,
+        tqdm(total=len(tasks), unit="notebook", desc="notebooks", leave=False) as bar,
+    ):
+
+        def one(task: Task) -> Outcome:
+            outcome = _run_one(
+                manifest, task, _key(manifest, task, shared, fingerprints), output, force=force
+            )
+            bar.update()
+            return outcome
+
+        outcomes = list(pool.map(one, tasks))
+    failed = [outcome for outcome in outcomes if outcome.error]
+    if failed:
+        raise NotebookError("\n".join(outcome.error for outcome in failed if outcome.error))
+    return outcomes
+
+
+def _run_one(manifest: Manifest, task: Task, key: str, output: Path, *, force: bool) -> Outcome:
+    stored = store.cache_folder(manifest.path.parent) / "notebooks" / f"{task.name}-{key[:24]}.ipynb"
+    target = output / f"{task.name}.ipynb"
+    record = stored.with_suffix(".json")
+    with store.lock(stored):
+        cached = stored.exists() and record.exists() and not force
+        if not cached:
+            begun = time.monotonic()
+            try:
+                _execute(task, stored)
+            except PapermillExecutionError as fault:
+                target.unlink(missing_ok=True)  # an older page must not pass for this run's
+                error = (
+                    f"notebooks/{task.path.name}: cell {fault.cell_index + 1}: {fault.ename}: {fault.evalue}"
+                )
+                return Outcome(task.name, key, False, time.monotonic() - begun, task.parameters, error)
+            store.write_json(record, {"key": key, "seconds": round(time.monotonic() - begun, 3)})
+        seconds = store.read_json(record)["seconds"]
+    with store.replacing(target) as temporary:
+        shutil.copyfile(stored, temporary)
+    return Outcome(task.name, key, cached, seconds, task.parameters)
+
+
+def _execute(task: Task, stored: Path) -> None:
+    """Run one notebook into ``stored``; if it fails, nothing is stored."""
+    with store.replacing(stored) as temporary:
+        source = temporary.with_suffix(".source.ipynb")
+        try:
+            jupytext.write(jupytext.read(task.path), source)
+            with warnings.catch_warnings():
+                warnings.simplefilter(
+                    "ignore"
+                )  # of the Jupyter packages themselves; the notebook's own stay in it
+                papermill.execute_notebook(
+                    source, temporary, parameters=task.parameters, kernel_name="python3", progress_bar=False,
+                    cwd=task.path.parent, request_save_on_cell_execute=False,
+                    extra_arguments=["--log-level=CRITICAL"],  # the kernel's own chatter; errors reach us as exceptions
+                )  # fmt: skip
+            _strip(temporary)
+        finally:
+            source.unlink(missing_ok=True)
+
+
+def _strip(path: Path) -> None:
+    """Take out what differs between equal runs (times, paths, identifiers), and hide papermill's own cell.
+
+    The values it injects stand in the page's provenance box.
+    """
+    notebook = nbformat.read(path, as_version=4)
+    notebook.metadata.pop("papermill", None)
+    for number, cell in enumerate(notebook.cells):
+        if "injected-parameters" in cell.metadata.get("tags", []):
+            cell.metadata["tags"] = [*cell.metadata["tags"], "remove-cell"]
+        cell.metadata.pop("papermill", None)
+        cell.metadata.pop("execution", None)
+        cell["id"] = f"cell-{number}"
+    nbformat.write(notebook, path)
+
+
+def _key(manifest: Manifest, task: Task, shared: Mapping[str, Any], fingerprints: Mapping[str, Any]) -> str:
+    cells = [
+        [cell.cell_type, cell.source, cell.metadata.get("tags", [])]
+        for cell in jupytext.read(task.path).cells
+    ]
+    return store.key(
+        stage="notebook", cells=cells, parameters=task.parameters, shared=shared,
+        datasets={name: fingerprints[name] for name in task.datasets},
+        methods={name: methods.fingerprint(name, manifest.method(name)) for name in task.methods},
+    )  # fmt: skip
+
+
+def _shared_inputs(manifest: Manifest) -> dict[str, Any]:
+    """What every notebook depends on: the library, the manifest's text and the versions that run it."""
+    package = Path(__file__).resolve().parent
+    files = sorted(
+        p for p in package.rglob("*") if p.is_file() and p.suffix in (".py", ".csv", ".json", ".npy")
+    )
+    sources = dict(
+        zip((str(p.relative_to(package)) for p in files), store.digest_of_files(files), strict=True)
+    )
+    return {
+        "sources": sources,
+        "manifest": store.digest_of_file(manifest.path),
+        "versions": {name: version(name) for name in _RUN_WITH},
+    }
+
+
+def _fingerprint(manifest: Manifest, dataset: str) -> list[Any]:
+    """Content of a dataset as a notebook sees it: images, positions, and whether images are at hand."""
+    return [
+        [traversal.name, traversal.digest, traversal.positions, traversal.has_images]
+        for traversal in load_all(manifest, dataset)
+    ]
