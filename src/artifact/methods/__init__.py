@@ -20,6 +20,17 @@ _BUILDERS: dict[str, tuple[str, int]] = {
     "thumbnail": ("artifact.methods.thumbnail:Thumbnail", 1),
     "hog": ("artifact.methods.hog:HOG", 1),
     "efficientnet_lite0": ("artifact.methods.efficientnet_lite:efficientnet_lite0", 1),
+    "anyloc": ("artifact.methods.anyloc:anyloc", 1),
+    "boq": ("artifact.methods.boq:boq", 1),
+    "cosplace": ("artifact.methods.cosplace:cosplace", 1),
+    "cricavpr": ("artifact.methods.cricavpr:cricavpr", 1),
+    "eigenplaces": ("artifact.methods.cosplace:eigenplaces", 1),
+    "megaloc": ("artifact.methods.megaloc:megaloc", 1),
+    "mixvpr": ("artifact.methods.mixvpr:mixvpr", 1),
+    "salad": ("artifact.methods.salad:salad", 1),
+    "salad_cm": ("artifact.methods.salad:salad_cm", 1),
+    "selavpr": ("artifact.methods.selavpr:selavpr", 1),
+    "selavprpp": ("artifact.methods.selavprpp:selavprpp", 1),
 }
 
 

@@ -1,0 +1,88 @@
+"""BoQ, Bag of Queries (Ali-bey et al., CVPR 2024), with DINOv2.
+
+Each of two blocks refines the patch features by a transformer encoder layer; 64 learnt queries then attend
+to them. A linear map over all 128 answers gives the descriptor.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from artifact.methods.attention import EncoderLayer, MultiHeadAttention
+from artifact.methods.dinov2 import feature_map, vit_base
+from artifact.methods.inputs import PATCH, check_images
+from artifact.methods.untrained import untrained
+
+_WIDTH = 384
+_HEADS = 6
+_QUERIES = 64
+_BLOCKS = 2
+_ROWS = 32
+
+
+class _QueryBlock(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.queries = nn.Parameter(torch.zeros(1, _QUERIES, _WIDTH))
+        self.encoder = EncoderLayer(_WIDTH, _HEADS, 4 * _WIDTH)
+        self.self_attn = MultiHeadAttention(_WIDTH, _HEADS)
+        self.norm_q = nn.LayerNorm(_WIDTH)
+        self.cross_attn = MultiHeadAttention(_WIDTH, _HEADS)
+        self.norm_out = nn.LayerNorm(_WIDTH)
+
+    def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Map features (b, n, 384) to the refined features and the queries' answers (b, 64, 384)."""
+        x = self.encoder(x)
+        queries = self.norm_q(self.queries + self.self_attn(self.queries, self.queries))
+        answers = self.cross_attn(queries.expand(len(x), -1, -1), x)
+        return x, self.norm_out(answers)
+
+
+class _QueryAggregator(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.proj_c = nn.Conv2d(768, _WIDTH, 3, padding=1)
+        self.norm_input = nn.LayerNorm(_WIDTH)
+        self.boqs = nn.ModuleList(_QueryBlock() for _ in range(_BLOCKS))
+        self.fc = nn.Linear(_BLOCKS * _QUERIES, _ROWS)
+
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        """Map features (b, 768, rows, columns) to unit vectors (b, 12288)."""
+        x = self.norm_input(self.proj_c(features).flatten(2).transpose(1, 2))
+        answers = []
+        for block in self.boqs:
+            x, answer = block(x)
+            answers.append(answer)
+        rows = self.fc(torch.cat(answers, dim=1).transpose(1, 2))
+        return functional.normalize(rows.flatten(1), dim=1)
+
+
+class BoQ(nn.Module):
+    """BoQ with DINOv2 ViT-B/14 and two blocks of 64 queries: 12288 dimensions.
+
+    The backbone's final normalisation is in the checkpoint but not used.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.backbone = nn.ModuleDict({"dino": vit_base()})
+        self.aggregator = _QueryAggregator()
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Describe images (b, 3, h, w), h and w multiples of 14: unit vectors (b, 12288), float32.
+
+        Raises
+        ------
+        ValueError
+            If shape, size, dtype or device do not fit.
+        """
+        height, width = check_images(images, self, multiple=PATCH)
+        tokens = self.backbone["dino"].encode(images)
+        return self.aggregator(feature_map(tokens, height, width))
+
+
+def boq() -> BoQ:
+    """Build BoQ (DINOv2, 12288 dimensions) without trained weights, in eval mode."""
+    return untrained(BoQ)

@@ -1,0 +1,240 @@
+"""DINOv2 vision transformers (Oquab et al., TMLR 2024) for inference: ViT-B/14, ViT-L/14 and ViT-g/14.
+
+Parameter names are Meta's, so that a released checkpoint, or that of a method built on it, loads strictly.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from artifact.methods.inputs import PATCH
+
+TRAINED_GRID = 37  # patches on a side of the 518 × 518 pixel images of the last training stage
+_EPSILON = 1e-6  # of the layer normalisations; PyTorch's default is ten times larger
+_OFFSET = 0.1  # patches, see `interpolate_positions`
+
+
+def interpolate_positions(embedding: torch.Tensor, rows: int, columns: int) -> torch.Tensor:
+    """Resample position embeddings to another grid of patches, as DINOv2 does.
+
+    Bicubic, without antialiasing. The step between samples is 37 / (rows + 0.1), not 37 / rows: DINOv2 adds
+    0.1 patches, historically against rounding errors, and every method built on it inherits that.
+
+    Parameters
+    ----------
+    embedding : torch.Tensor
+        Shape (1, 1 + 37², c): the class token's embedding, then the trained grid's, row by row.
+    rows, columns : int
+        Size of the new grid, in patches.
+
+    Returns
+    -------
+    torch.Tensor
+        Shape (1, 1 + rows · columns, c), same dtype.
+
+    Examples
+    --------
+    >>> interpolate_positions(torch.ones(1, 1 + 37 * 37, 4), 9, 12).shape
+    torch.Size([1, 109, 4])
+    """
+    if rows == columns == TRAINED_GRID:
+        return embedding
+    exact = embedding.to(torch.promote_types(embedding.dtype, torch.float32))  # half precision would shift it
+    grid = exact[:, 1:].reshape(1, TRAINED_GRID, TRAINED_GRID, -1).permute(0, 3, 1, 2)
+    scales = ((rows + _OFFSET) / TRAINED_GRID, (columns + _OFFSET) / TRAINED_GRID)
+    grid = functional.interpolate(grid, scale_factor=scales, mode="bicubic", align_corners=False)
+    return torch.cat((exact[:, :1], grid.flatten(2).transpose(1, 2)), dim=1).to(embedding.dtype)
+
+
+class PatchEmbedding(nn.Module):
+    """Linear embedding of each 14 × 14 pixel patch."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.proj = nn.Conv2d(3, width, PATCH, stride=PATCH)
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Map images (b, 3, h, w) to tokens (b, h / 14 · w / 14, width), row by row."""
+        return self.proj(images).flatten(2).transpose(1, 2)
+
+
+class SelfAttention(nn.Module):
+    """Multi-head self-attention with one projection for queries, keys and values."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.qkv = nn.Linear(width, 3 * width)
+        self.proj = nn.Linear(width, width)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Map tokens (b, n, width) to (b, n, width)."""
+        queries, keys, values = self.qkv(x).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
+        attended = functional.scaled_dot_product_attention(queries, keys, values)
+        return self.proj(attended.transpose(1, 2).flatten(2))
+
+
+class Perceptron(nn.Module):
+    """Feed-forward network with exact GELU and four times the width inside."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.fc1 = nn.Linear(width, 4 * width)
+        self.fc2 = nn.Linear(4 * width, width)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Map tokens (b, n, width) to (b, n, width)."""
+        return self.fc2(functional.gelu(self.fc1(x)))
+
+
+class GatedPerceptron(nn.Module):
+    """Feed-forward network of ViT-g: SwiGLU (Shazeer 2020), w3(silu(w1 x) · w2 x), w1 and w2 in one matrix.
+
+    The hidden width is two thirds of the usual four times, rounded up to a multiple of 8, which keeps the
+    number of parameters.
+    """
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        hidden = math.ceil(4 * width * 2 // 3 / 8) * 8
+        self.w12 = nn.Linear(width, 2 * hidden)
+        self.w3 = nn.Linear(hidden, width)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Map tokens (b, n, width) to (b, n, width)."""
+        gate, value = self.w12(x).chunk(2, dim=-1)
+        return self.w3(functional.silu(gate) * value)
+
+
+class LayerScale(nn.Module):
+    """A learnt factor per channel at the end of a residual branch (Touvron et al., ICCV 2021)."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.gamma = nn.Parameter(torch.ones(width))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Scale the last axis of `x`."""
+        return x * self.gamma
+
+
+class Block(nn.Module):
+    """Transformer block: attention and feed-forward branches, each normalised before and scaled after.
+
+    A method that puts adapters into the block overrides `attention_branch` or `feed_forward_branch`.
+    """
+
+    def __init__(self, width: int, heads: int, feed_forward: type[nn.Module] = Perceptron) -> None:
+        super().__init__()
+        self.norm1 = nn.LayerNorm(width, eps=_EPSILON)
+        self.attn = SelfAttention(width, heads)
+        self.ls1 = LayerScale(width)
+        self.norm2 = nn.LayerNorm(width, eps=_EPSILON)
+        self.mlp = feed_forward(width)
+        self.ls2 = LayerScale(width)
+
+    def attention_branch(self, x: torch.Tensor) -> torch.Tensor:
+        """Map normalised tokens (b, n, width) to what the first residual branch adds, before its scale."""
+        return self.attn(x)
+
+    def feed_forward_branch(self, x: torch.Tensor) -> torch.Tensor:
+        """Map normalised tokens (b, n, width) to what the second residual branch adds, before its scale."""
+        return self.mlp(x)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Map tokens (b, n, width) to (b, n, width)."""
+        x = x + self.ls1(self.attention_branch(self.norm1(x)))
+        return x + self.ls2(self.feed_forward_branch(self.norm2(x)))
+
+
+class VisionTransformer(nn.Module):
+    """DINOv2 vision transformer with patches of 14 × 14 pixels.
+
+    Parameters
+    ----------
+    width : int
+        Channels of a token.
+    depth : int
+        Number of blocks.
+    heads : int
+        Number of attention heads.
+    block : type
+        `Block` or a subclass with adapters.
+    feed_forward : type
+        `Perceptron`, or `GatedPerceptron` for ViT-g.
+    mask_token : bool
+        Whether the checkpoint holds the mask token, which only pre-training uses.
+    """
+
+    def __init__(
+        self,
+        width: int,
+        depth: int,
+        heads: int,
+        *,
+        block: type[Block] = Block,
+        feed_forward: type[nn.Module] = Perceptron,
+        mask_token: bool = True,
+    ) -> None:
+        super().__init__()
+        self.cls_token = nn.Parameter(torch.zeros(1, 1, width))
+        self.pos_embed = nn.Parameter(torch.zeros(1, 1 + TRAINED_GRID**2, width))
+        if mask_token:
+            self.mask_token = nn.Parameter(torch.zeros(1, width))
+        self.patch_embed = PatchEmbedding(width)
+        self.blocks = nn.ModuleList(block(width, heads, feed_forward) for _ in range(depth))
+        self.norm = nn.LayerNorm(width, eps=_EPSILON)
+
+    def embed(self, images: torch.Tensor) -> torch.Tensor:
+        """Map images (b, 3, h, w) to the first block's tokens (b, 1 + h / 14 · w / 14, width)."""
+        rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
+        patches = self.patch_embed(images)
+        tokens = torch.cat((self.cls_token.expand(len(patches), -1, -1), patches), dim=1)
+        return tokens + interpolate_positions(self.pos_embed, rows, columns)
+
+    def encode(self, images: torch.Tensor) -> torch.Tensor:
+        """Map images to the last block's tokens (b, 1 + h / 14 · w / 14, width), not normalised."""
+        tokens = self.embed(images)
+        for block in self.blocks:
+            tokens = block(tokens)
+        return tokens
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Map images (b, 3, h, w) to normalised tokens (b, 1 + h / 14 · w / 14, width).
+
+        Height and width are multiples of 14. The first token is the class token; the patches follow row by
+        row.
+        """
+        return self.norm(self.encode(images))
+
+
+def vit_base(*, block: type[Block] = Block, mask_token: bool = True) -> VisionTransformer:
+    """ViT-B/14: 768 channels, 12 blocks."""
+    return VisionTransformer(768, 12, 12, block=block, mask_token=mask_token)
+
+
+def vit_large(*, block: type[Block] = Block) -> VisionTransformer:
+    """ViT-L/14: 1024 channels, 24 blocks."""
+    return VisionTransformer(1024, 24, 16, block=block)
+
+
+def feature_map(tokens: torch.Tensor, height: int, width: int) -> torch.Tensor:
+    """Lay patch tokens out as an image.
+
+    Parameters
+    ----------
+    tokens : torch.Tensor
+        Shape (b, 1 + n, c): the class token, then the patches row by row.
+    height, width : int
+        Size of the image that they describe, in pixels.
+
+    Returns
+    -------
+    torch.Tensor
+        Shape (b, c, height / 14, width / 14).
+    """
+    return tokens[:, 1:].transpose(1, 2).unflatten(2, (height // PATCH, width // PATCH))

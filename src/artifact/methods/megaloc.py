@@ -1,0 +1,71 @@
+"""MegaLoc (Berton and Masone, CVPR Workshops 2025): SALAD's aggregation and a linear projection."""
+
+from __future__ import annotations
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from artifact.methods.dinov2 import feature_map, vit_base
+from artifact.methods.inputs import PATCH, check_images
+from artifact.methods.salad import CLUSTERS, OptimalTransportAggregator
+from artifact.methods.untrained import untrained
+
+_DIMENSION = 8448
+
+
+def resize_to_patches(images: torch.Tensor) -> torch.Tensor:
+    """Resize images (b, 3, h, w) so that height and width are the nearest multiples of 14.
+
+    Bilinear with antialiasing; a half rounds to the even multiple, as Python's `round` does. Images that
+    fit are returned as they are.
+
+    Examples
+    --------
+    >>> resize_to_patches(torch.zeros(1, 3, 300, 400)).shape
+    torch.Size([1, 3, 294, 406])
+    """
+    size = [round(pixels / PATCH) * PATCH for pixels in images.shape[-2:]]
+    if size == list(images.shape[-2:]):
+        return images
+    return functional.interpolate(images, size=size, mode="bilinear", align_corners=False, antialias=True)
+
+
+class _ProjectedAggregator(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.agg = OptimalTransportAggregator(256)
+        self.linear = nn.Linear(self.agg.dimension, _DIMENSION)
+
+    def forward(self, features: torch.Tensor, token: torch.Tensor) -> torch.Tensor:
+        return self.linear(self.agg(features, token))
+
+
+class MegaLoc(nn.Module):
+    """MegaLoc with DINOv2 ViT-B/14, 64 clusters of 256 and a token of 256, projected to 8448 dimensions."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.backbone = vit_base(mask_token=False)
+        self.aggregator = _ProjectedAggregator()
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Describe images (b, 3, h, w) of more than 64 patches: unit vectors (b, 8448), float32.
+
+        Images whose size is not a multiple of 14 are resized first, see `resize_to_patches`.
+
+        Raises
+        ------
+        ValueError
+            If shape, size, dtype or device do not fit.
+        """
+        check_images(images, self, more_patches_than=CLUSTERS)
+        images = resize_to_patches(images)
+        tokens = self.backbone(images)
+        features = feature_map(tokens, *images.shape[-2:])
+        return functional.normalize(self.aggregator(features, tokens[:, 0]), dim=1)
+
+
+def megaloc() -> MegaLoc:
+    """Build MegaLoc (8448 dimensions) without trained weights, in eval mode."""
+    return untrained(MegaLoc)

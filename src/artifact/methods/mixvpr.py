@@ -1,0 +1,74 @@
+"""MixVPR (Ali-bey et al., WACV 2023): a ResNet-50 cropped after its third stage, and feature mixing.
+
+Written from the paper. Each of the 1024 feature maps of 20 × 20 positions is flattened to a vector of 400,
+mixed by four residual two-layer perceptrons that all maps share, and reduced by two linear maps, over
+channels and over positions.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from artifact.methods.inputs import check_images
+from artifact.methods.resnet import RESNET50, resnet_stages
+from artifact.methods.untrained import untrained
+
+_SIDE = 320  # pixels: the perceptrons are trained for (320 / 16)² = 400 positions
+_POSITIONS = 400
+_CHANNELS = 1024
+_ROWS = 4
+
+
+class _FeatureMixer(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.mix = nn.Sequential(
+            nn.LayerNorm(_POSITIONS),
+            nn.Linear(_POSITIONS, _POSITIONS),
+            nn.ReLU(),
+            nn.Linear(_POSITIONS, _POSITIONS),
+        )
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return x + self.mix(x)
+
+
+class _MixAggregator(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.mix = nn.Sequential(*(_FeatureMixer() for _ in range(4)))
+        self.channel_proj = nn.Linear(_CHANNELS, _CHANNELS)
+        self.row_proj = nn.Linear(_POSITIONS, _ROWS)
+
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        """Map features (b, 1024, 20, 20) to unit vectors (b, 4096)."""
+        x = self.mix(features.flatten(2))
+        x = self.channel_proj(x.transpose(1, 2)).transpose(1, 2)
+        return functional.normalize(self.row_proj(x).flatten(1), dim=1)
+
+
+class MixVPR(nn.Module):
+    """MixVPR with ResNet-50, 1024 channels and 4 rows: 4096 dimensions."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.backbone = nn.ModuleDict({"model": nn.Sequential(resnet_stages(RESNET50[:3]))})
+        self.aggregator = _MixAggregator()
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Describe images (b, 3, 320, 320): unit vectors (b, 4096), float32.
+
+        Raises
+        ------
+        ValueError
+            If shape, size, dtype or device do not fit.
+        """
+        check_images(images, self, exact=_SIDE)
+        return self.aggregator(self.backbone["model"](images))
+
+
+def mixvpr() -> MixVPR:
+    """Build MixVPR (ResNet-50, 4096 dimensions) without trained weights, in eval mode."""
+    return untrained(MixVPR)

@@ -1,0 +1,148 @@
+"""SelaVPR (Lu et al., ICLR 2024): global descriptors for retrieval, dense local features for re-ranking."""
+
+from __future__ import annotations
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from artifact.methods.adapters import BottleneckAdapter
+from artifact.methods.dinov2 import Block, feature_map, vit_large
+from artifact.methods.inputs import check_images
+from artifact.methods.pooling import unit_gem
+from artifact.methods.untrained import untrained
+
+_SIDE = 224  # pixels: the authors lay the patches out on 16 × 16 whatever the image
+_ADAPTER_SCALE = 0.2
+
+
+def match_count(query: torch.Tensor, candidates: torch.Tensor, *, block: int = 1) -> torch.Tensor:
+    """Count the mutual nearest neighbours between a query's local features and each candidate's.
+
+    This is SelaVPR's re-ranking score: no threshold and no geometry. Like the authors' code it gives 0
+    where there is exactly one match. Equal scores are common: keep the candidates' first-stage order among
+    them.
+
+    Parameters
+    ----------
+    query : torch.Tensor
+        Local features of one image, unit length along the last axis: shape (rows, columns, c) or (m, c).
+    candidates : torch.Tensor
+        The same for k images: shape (k, rows, columns, c) or (k, n, c), same dtype and device.
+    block : int
+        Number of candidates compared at a time; each takes a matrix of m · n similarities (55 MB in float32
+        for 61 × 61 features).
+
+    Returns
+    -------
+    torch.Tensor
+        Scores, shape (k,), int64, on the features' device.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit.
+
+    Examples
+    --------
+    >>> features = torch.eye(5)
+    >>> match_count(features[:4], torch.stack([features, features.flip(0)]))
+    tensor([4, 4])
+    """
+    if query.ndim < 2 or candidates.ndim < 3 or query.shape[-1] != candidates.shape[-1]:
+        raise ValueError(
+            "match_count takes query features (rows, columns, c) or (m, c) and candidates' features with one "
+            f"more leading axis and the same c; found {tuple(query.shape)} and {tuple(candidates.shape)}."
+        )
+    if block < 1:
+        raise ValueError(f"match_count takes a block of at least 1 candidate; found {block}.")
+    query = query.flatten(0, -2)
+    scores = [_mutual(query, some) for some in candidates.flatten(1, -2).split(block)]
+    return torch.cat(scores) if scores else torch.zeros(0, dtype=torch.int64, device=query.device)
+
+
+def _mutual(query: torch.Tensor, candidates: torch.Tensor) -> torch.Tensor:
+    similarities = candidates @ query.T  # (k, n, m)
+    of_query = similarities.argmax(dim=1)
+    of_candidates = similarities.argmax(dim=2)
+    there_and_back = of_candidates.gather(1, of_query)
+    counts = (there_and_back == torch.arange(len(query), device=query.device)).sum(dim=1)
+    return torch.where(counts == 1, 0, counts)
+
+
+class _AdaptedBlock(Block):
+    def __init__(self, width: int, heads: int, feed_forward: type[nn.Module]) -> None:
+        super().__init__(width, heads, feed_forward)
+        self.adapter1 = BottleneckAdapter(width)
+        self.adapter2 = BottleneckAdapter(width)
+
+    def attention_branch(self, x: torch.Tensor) -> torch.Tensor:
+        attended = self.attn(x)
+        return attended + self.adapter1(attended)
+
+    def feed_forward_branch(self, x: torch.Tensor) -> torch.Tensor:
+        return self.mlp(x) + _ADAPTER_SCALE * self.adapter2(x)
+
+
+class _LocalAdapter(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.upconv1 = nn.ConvTranspose2d(1024, 256, 3, stride=2, padding=1)
+        self.upconv2 = nn.ConvTranspose2d(256, 128, 3, stride=2, padding=1)
+
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        """Map features (b, 1024, 16, 16) to (b, 128, 61, 61)."""
+        return self.upconv2(functional.relu(self.upconv1(features)))
+
+
+class SelaVPR(nn.Module):
+    """SelaVPR with DINOv2 ViT-L/14: 1024 dimensions, and 61 × 61 local features of 128 dimensions."""
+
+    match_count = staticmethod(match_count)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.backbone = vit_large(block=_AdaptedBlock)
+        self.aggregation = unit_gem()
+        self.LocalAdapt = _LocalAdapter()
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Describe images (b, 3, 224, 224): unit vectors (b, 1024), float32.
+
+        Raises
+        ------
+        ValueError
+            If shape, size, dtype or device do not fit.
+        """
+        return self._describe(self._features(images))
+
+    def global_and_local(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Describe images (b, 3, 224, 224) for both stages, in one pass.
+
+        Returns
+        -------
+        descriptors : torch.Tensor
+            What `forward` returns, shape (b, 1024).
+        local : torch.Tensor
+            Local features of unit length, shape (b, 61, 61, 128): 1.9 MB per image in float32.
+
+        Raises
+        ------
+        ValueError
+            If shape, size, dtype or device do not fit.
+        """
+        features = self._features(images)
+        local = functional.normalize(self.LocalAdapt(features).permute(0, 2, 3, 1), dim=3)
+        return self._describe(features), local
+
+    def _features(self, images: torch.Tensor) -> torch.Tensor:
+        height, width = check_images(images, self, exact=_SIDE)
+        return feature_map(self.backbone(images), height, width)
+
+    def _describe(self, features: torch.Tensor) -> torch.Tensor:
+        return functional.normalize(self.aggregation(features), dim=1)
+
+
+def selavpr() -> SelaVPR:
+    """Build SelaVPR (1024 dimensions) without trained weights, in eval mode."""
+    return untrained(SelaVPR)
