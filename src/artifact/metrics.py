@@ -18,6 +18,7 @@ from artifact.counting import Counts
 from artifact.ranking import ORIGINAL, ImageSet, LowRank, Options, Ranking, rank, squared_norms
 
 QUERY_POOL = "queries"
+_UNIT_TOLERANCE = 1e-3
 Ties = Literal["for", "against"]
 
 
@@ -428,8 +429,8 @@ def _image_set(name: str, descriptors: Any, positions: Any, similarity: str) -> 
             f"{name}: row {_first(squared == 0)} of the descriptors is all zeros and has no direction"
         )
     lengths = np.sqrt(squared)
-    if similarity != "cosine" and (np.abs(lengths - 1) > 1e-3).any():
-        row = _first(np.abs(lengths - 1) > 1e-3)
+    if similarity != "cosine" and (np.abs(lengths - 1) > _UNIT_TOLERANCE).any():
+        row = _first(np.abs(lengths - 1) > _UNIT_TOLERANCE)
         raise ValueError(
             f"{name}: row {row} has length {lengths[row]:.4g}; similarity {similarity!r} needs unit-length "
             f"descriptors: divide each row by its length, or use 'cosine'"

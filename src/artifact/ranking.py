@@ -28,6 +28,7 @@ REVISION = 1  # raise when any count changes: it is part of the key of stored ra
 
 _TILE_SIDE = 1024
 _LARGEST_ROWS = 2048
+_NEGLIGIBLE = 1e-5  # of a projection, in float32
 
 
 class LowRank(Protocol):
@@ -153,7 +154,7 @@ def rank(
         starts = np.concatenate([[0], np.cumsum(np.diff(starts)[evaluated])])
     transforms = {ORIGINAL: None, **(views or {})}
     with engine_for(options.device) as engine:
-        run = _Pass(engine, queries, threshold, transforms, options)
+        run = _Pass(engine, queries, _readings(queries, transforms, options.similarity), threshold, transforms, options)
         in_database = run.over_database(database, starts, positives)
         best = {view: counts.best for view, counts in in_database.items()}
         in_pools = {
@@ -200,9 +201,10 @@ def positives_of(
 
 
 @dataclass(frozen=True)
-class _Columns:
-    """How one view reads an image set as tile columns: ``(tile - left @ right.T) * scale + bias``."""
+class _Reading:
+    """How one view reads an image set: as rows, and as columns ``(tile - left @ right.T) * scale + bias``."""
 
+    left: np.ndarray
     right: np.ndarray
     scale: np.ndarray
     bias: np.ndarray
@@ -212,25 +214,22 @@ class _Columns:
 class _Pass:
     engine: CpuEngine | TorchEngine
     queries: ImageSet
+    rows: Mapping[str, _Reading]
     threshold: float
     transforms: Mapping[str, LowRank | None]
     options: Options
 
-    def over_database(
-        self, database: ImageSet, starts: np.ndarray, positives: np.ndarray
-    ) -> dict[str, Counts]:
+    def over_database(self, database: ImageSet, starts: np.ndarray, positives: np.ndarray) -> dict[str, Counts]:
         """Multiply blocks of queries with the whole database: best positives, and the images above them."""
         options, n = self.options, len(self.queries)
-        columns, left = self._columns(database), self._left()
+        columns = _readings(database, self.transforms, options.similarity)
         counts = {view: Counts.empty(n, options.depth, 0, options.retrieve) for view in self.transforms}
         copies = 2 if len(self.transforms) > 1 else 1
         step = max(1, min(_LARGEST_ROWS, options.memory // (4 * copies * len(database))))
         for rows in _blocks(n, step):
-            tile = self.engine.product(
-                self.queries.descriptors, rows, database.descriptors, slice(0, len(database))
-            )
+            tile = self.engine.product(self.queries.descriptors, rows, database.descriptors, slice(0, len(database)))
             for view, column in columns.items():
-                correction = self.engine.correction(left[view][rows], column.right)
+                correction = self.engine.correction(self.rows[view].left[rows], column.right)
                 self.engine.count_database(
                     tile, correction, column.scale, column.bias, starts, positives, rows.start, counts[view]
                 )
@@ -239,23 +238,23 @@ class _Pass:
     def over_pool(self, pool: ImageSet, best: Mapping[str, np.ndarray]) -> dict[str, Counts]:
         """Count the allowed distractors of one pool above each query's best positive."""
         options, n = self.options, len(self.queries)
-        columns, left = self._columns(pool), self._left()
-        counts = {
-            view: Counts.empty(n, options.depth, options.draws, options.retrieve) for view in self.transforms
-        }
+        own = pool is self.queries
+        columns = self.rows if own else _readings(pool, self.transforms, options.similarity)
+        counts = {view: Counts.empty(n, options.depth, options.draws, options.retrieve) for view in self.transforms}
         for view in self.transforms:
             counts[view].best[:] = best[view]
         orders = _draw_orders(len(pool), options)
         copies = 4 if len(self.transforms) > 1 else 2
         step = max(1, min(_TILE_SIDE, math.isqrt(options.memory // (4 * copies))))
-        for rows, cols, mirrored in _tiles(n, len(pool), step, symmetric=pool is self.queries):
+        for rows, cols, mirrored in _tiles(n, len(pool), step, symmetric=own):
             tile = self.engine.product(self.queries.descriptors, rows, pool.descriptors, cols)
             turned = self.engine.transposed(tile) if mirrored else None
             for view, column in columns.items():
-                correction = self.engine.correction(left[view][rows], column.right[cols])
+                left = self.rows[view].left
+                correction = self.engine.correction(left[rows], column.right[cols])
                 self._count(tile, correction, column, rows, cols, pool, orders, counts[view])
                 if turned is not None:
-                    correction = self.engine.transposed(correction)
+                    correction = self.engine.correction(left[cols], column.right[rows])
                     self._count(turned, correction, column, cols, rows, pool, orders, counts[view])
         return counts
 
@@ -265,26 +264,41 @@ class _Pass:
             self.queries.positions, pool.positions, self.threshold, orders, counts,
         )  # fmt: skip
 
-    def _left(self) -> dict[str, np.ndarray]:
-        return {view: _factors(self.queries.descriptors, t)[0] for view, t in self.transforms.items()}
 
-    def _columns(self, images: ImageSet) -> dict[str, _Columns]:
-        """Norms of the (transformed) descriptors turn dot products into the chosen similarity."""
-        squared = squared_norms(images.descriptors)
-        columns = {}
-        for view, transform in self.transforms.items():
-            _, right, change = _factors(images.descriptors, transform)
-            norms = np.maximum(squared + change, 0.0)
-            ones, zeros = np.ones(len(norms), np.float32), np.zeros(len(norms), np.float32)
-            match self.options.similarity:
-                case "cosine":
-                    inverse = np.divide(1.0, np.sqrt(norms), out=np.zeros_like(norms), where=norms > 0)
-                    columns[view] = _Columns(right, inverse.astype(np.float32), zeros)
-                case "l2":
-                    columns[view] = _Columns(right, 2 * ones, -norms.astype(np.float32))
-                case "dot":
-                    columns[view] = _Columns(right, ones, zeros)
-        return columns
+def _readings(
+    images: ImageSet, transforms: Mapping[str, LowRank | None], similarity: Similarity
+) -> dict[str, _Reading]:  # fmt: skip
+    """Project an image set once for all views; norms turn dot products into the chosen similarity.
+
+    With ``a = right.T x - offset``, ``u = left.T x`` and ``G = left.T left``, the transformed dot product is
+    ``q'c' = qc - a_q u_c - (u_q - G a_q) a_c``. For an orthogonal projection the last term vanishes.
+    """
+    squared = squared_norms(images.descriptors)
+    readings = {}
+    bases = {view: [np.asarray(part, np.float32) for part in t.low_rank()] for view, t in transforms.items() if t}
+    projected = _project(images.descriptors, [part for left, right, _ in bases.values() for part in (left, right)])
+    for view in transforms:
+        left_factor = right_factor = np.zeros((len(images), 0), np.float32)
+        change = 0.0
+        if view in bases:
+            left, _, offset = bases[view]
+            u, a = next(projected), next(projected) - offset
+            remainder = u - a @ (left.T @ left)
+            change = -np.einsum("nk,nk->n", a, u, dtype=np.float64) - np.einsum("nk,nk->n", remainder, a, dtype=np.float64)
+            left_factor, right_factor = np.concatenate([a, remainder], axis=1), np.concatenate([u, a], axis=1)
+            if a.size and np.abs(remainder).max() <= _NEGLIGIBLE * max(np.abs(a).max(), np.abs(u).max()):
+                left_factor, right_factor = np.ascontiguousarray(a), np.ascontiguousarray(u)
+        norms = np.maximum(squared + change, 0.0)
+        readings[view] = _Reading(left_factor, right_factor, *_scale_and_bias(norms, similarity))
+    return readings
+
+
+def _scale_and_bias(squared: np.ndarray, similarity: Similarity) -> tuple[np.ndarray, np.ndarray]:
+    ones, zeros = np.ones(len(squared), np.float32), np.zeros(len(squared), np.float32)
+    if similarity == "cosine":
+        inverse = np.divide(1.0, np.sqrt(squared), out=np.zeros_like(squared), where=squared > 0)
+        return inverse.astype(np.float32), zeros
+    return (2 * ones, -squared.astype(np.float32)) if similarity == "l2" else (ones, zeros)
 
 
 def squared_norms(descriptors: np.ndarray) -> np.ndarray:
@@ -296,30 +310,16 @@ def squared_norms(descriptors: np.ndarray) -> np.ndarray:
     return squared
 
 
-def _factors(descriptors: np.ndarray, transform: LowRank | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the row factor, the column factor and the change of the squared norms under a transform.
-
-    With ``a = right.T x - offset``, ``u = left.T x`` and ``G = left.T left``, the transformed dot product is
-    ``q'c' = qc - a_q u_c - (u_q - G a_q) a_c``.
-    """
-    if transform is None:
-        nothing = np.zeros((len(descriptors), 0), np.float32)
-        return nothing, nothing, np.zeros(len(descriptors))
-    left, right, offset = (np.asarray(part, np.float32) for part in transform.low_rank())
-    a = _project(descriptors, right) - offset
-    u = _project(descriptors, left)
-    remainder = u - a @ (left.T @ left)
-    change = -np.einsum("nk,nk->n", a, u, dtype=np.float64) - np.einsum(
-        "nk,nk->n", remainder, a, dtype=np.float64
-    )
-    return np.concatenate([a, remainder], axis=1), np.concatenate([u, a], axis=1), change
-
-
-def _project(descriptors: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    out = np.empty((len(descriptors), basis.shape[1]), np.float32)
+def _project(descriptors: np.ndarray, bases: list[np.ndarray]) -> Iterator[np.ndarray]:
+    """Yield the projection on each basis, from one product with all of them."""
+    if not bases:
+        return
+    stacked = np.concatenate(bases, axis=1)
+    out = np.empty((len(descriptors), stacked.shape[1]), np.float32)
     for rows in _blocks(len(descriptors), max(1, 2**23 // max(1, descriptors.shape[1]))):
-        out[rows] = descriptors[rows].astype(np.float32, copy=False) @ basis
-    return out
+        np.matmul(descriptors[rows].astype(np.float32, copy=False), stacked, out=out[rows])
+    edges = np.cumsum([basis.shape[1] for basis in bases])
+    yield from np.split(out, edges[:-1], axis=1)
 
 
 def _draw_orders(n: int, options: Options) -> np.ndarray:

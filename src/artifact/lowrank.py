@@ -1,0 +1,127 @@
+"""Affine maps that differ from the identity by a low rank, and their composition.
+
+Every suppression transform that needs no condition at inference (INLP, LEACE, any sequence of them) has the form
+``r(x) = x - left (right' x - offset)`` with ``left`` and ``right`` of ``k`` columns: O(d k) memory, and a similarity
+between two transformed descriptors is the original one plus a correction of rank 2 k.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from artifact import store
+
+
+@dataclass(frozen=True)
+class LowRankMap:
+    """The map ``r(x) = x - left @ (right.T @ x - offset)``.
+
+    Attributes
+    ----------
+    left, right
+        ``(d, k)`` float64.
+    offset
+        ``(k,)`` float64.
+    """
+
+    left: np.ndarray
+    right: np.ndarray
+    offset: np.ndarray
+
+    @property
+    def dimension(self) -> int:
+        """Width d of the descriptors."""
+        return self.left.shape[0]
+
+    @property
+    def rank(self) -> int:
+        """Number of columns k."""
+        return self.left.shape[1]
+
+    def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return ``left``, ``right`` and ``offset``, for evaluation as a view."""
+        return self.left, self.right, self.offset
+
+    def transform(self, X: np.ndarray) -> np.ndarray:
+        """Apply the map to rows ``(n, d)``; the dtype is kept.
+
+        Raises
+        ------
+        ValueError
+            If the rows have another width.
+        """
+        X = np.asarray(X)
+        if X.ndim != 2 or X.shape[1] != self.dimension:
+            raise ValueError(f"descriptors have the shape {X.shape}; this transform was fitted on (n, {self.dimension})")
+        kind = X.dtype if X.dtype in (np.float32, np.float64) else np.float32
+        left, right, offset = (part.astype(kind) for part in (self.left, self.right, self.offset))
+        X = X.astype(kind, copy=False)
+        return X - (X @ right - offset) @ left.T
+
+
+def compose(*steps: Any) -> LowRankMap:
+    """Return one map that applies several transforms in order.
+
+    Parameters
+    ----------
+    *steps
+        Fitted :class:`~artifact.suppression.INLP` or :class:`~artifact.suppression.LEACE` estimators, or low-rank maps;
+        the first is applied first. Nothing is normalised in between.
+
+    Raises
+    ------
+    TypeError
+        If a step has no low-rank form, as STD.
+    ValueError
+        If there is no step, or widths differ.
+
+    Examples
+    --------
+    >>> drop_first = LowRankMap(np.eye(3)[:, :1], np.eye(3)[:, :1], np.zeros(1))
+    >>> drop_last = LowRankMap(np.eye(3)[:, 2:], np.eye(3)[:, 2:], np.zeros(1))
+    >>> compose(drop_first, drop_last).transform(np.array([[1.0, 2.0, 3.0]])).tolist()
+    [[0.0, 2.0, 0.0]]
+    """
+    if not steps:
+        raise ValueError("compose needs at least one transform")
+    for step in steps:
+        if not hasattr(step, "low_rank"):
+            raise TypeError(f"{type(step).__name__} has no low-rank form; INLP, LEACE and their compositions have")
+    parts = [step.low_rank() for step in steps]
+    widths = {part[0].shape[0] for part in parts}
+    if len(widths) > 1:
+        raise ValueError(f"the transforms were fitted on different widths: {', '.join(map(str, sorted(widths)))}")
+    left, right, offset = parts[0]
+    for next_left, next_right, next_offset in parts[1:]:
+        overlap = left.T @ next_right
+        right = np.concatenate([right, next_right - right @ overlap], axis=1)
+        offset = np.concatenate([offset, next_offset - overlap.T @ offset])
+        left = np.concatenate([left, next_left], axis=1)
+    return LowRankMap(left, right, offset)
+
+
+def save(transform: Any, path: Path, inputs: Mapping[str, Any]) -> None:
+    """Store a low-rank transform with a sidecar that records what it was fitted on.
+
+    Parameters
+    ----------
+    transform
+        Anything with a low-rank form.
+    path
+        Target, with the suffix ``.npz``.
+    inputs
+        What it was made from; must hold its ``key``.
+    """
+    left, right, offset = transform.low_rank()
+    store.save_arrays(path, {"left": left, "right": right, "offset": offset}, inputs)
+
+
+def load(path: Path, key: str) -> LowRankMap | None:
+    """Read a transform whose sidecar holds ``key``; ``None`` if there is none."""
+    arrays = store.load_arrays(path, key)
+    return None if arrays is None else LowRankMap(arrays["left"], arrays["right"], arrays["offset"])

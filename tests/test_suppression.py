@@ -1,0 +1,379 @@
+"""INLP, LEACE and STD: the mathematics that they promise, and the errors that they give."""
+
+import warnings
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+from sklearn.base import clone
+from sklearn.exceptions import ConvergenceWarning, NotFittedError
+from sklearn.linear_model import LogisticRegression, SGDClassifier
+from sklearn.metrics import balanced_accuracy_score
+
+from artifact import INLP, LEACE, STD, compose, evaluate, lowrank
+from artifact.lowrank import LowRankMap
+from artifact.suppression import _coordinates
+
+with warnings.catch_warnings():  # the package uses parts of torch that are deprecated
+    warnings.simplefilter("ignore", DeprecationWarning)
+    from concept_erasure import LeaceFitter
+
+SHAPES = [(300, 20, 2), (60, 200, 2), (400, 30, 5), (90, 300, 10), (30, 30, 3)]
+
+
+def labelled(n, d, conditions, seed=0, shift=0.8):
+    """Descriptors whose mean depends on the condition, with correlated columns and a mean far from zero."""
+    rng = np.random.default_rng(seed)
+    condition = rng.permutation(np.arange(n) % conditions)
+    mixing = rng.standard_normal((d, d)) / np.sqrt(d) + np.eye(d)
+    X = rng.standard_normal((n, d)) @ mixing + shift * rng.standard_normal((conditions, d))[condition] + 0.3
+    return X, condition
+
+
+def one_hot(condition):
+    return (condition[:, None] == np.unique(condition)).astype(float)
+
+
+def class_means(X, condition):
+    return np.stack([X[condition == c].mean(axis=0) for c in np.unique(condition)])
+
+
+def whitening_leace(X, condition, shrinkage):
+    """The paper's formula, dense and in float64: x - W^+ P_{W S_xz} W (x - E[X])."""
+    n, d = X.shape
+    centred, labels = X - X.mean(axis=0), one_hot(condition) - one_hot(condition).mean(axis=0)
+    covariance = centred.T @ centred / n
+    if shrinkage:
+        trace = np.trace(covariance)
+        alpha = 1 - (trace**2 / n) / ((covariance**2).sum() - trace**2 / d)
+        assert 0 < alpha < 1, "the reference does not clip; choose data where it need not"
+        covariance = alpha * covariance + (1 - alpha) * trace / d * np.eye(d)
+    values, vectors = np.linalg.eigh(covariance)
+    kept = values > values[-1] * max(n, d) * np.finfo(float).eps
+    values, vectors = values[kept], vectors[:, kept]
+    whiten, colour = (vectors / np.sqrt(values)) @ vectors.T, (vectors * np.sqrt(values)) @ vectors.T
+    whitened = whiten @ centred.T @ labels / n
+    projection = whitened @ np.linalg.pinv(whitened, rcond=1e-9)
+    return X - centred @ (colour @ projection @ whiten).T
+
+
+# -- LEACE ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shrinkage", [False, True])
+@pytest.mark.parametrize(("n", "d", "conditions"), SHAPES)
+def test_leace_equals_the_whitening_formula(n, d, conditions, shrinkage):
+    X, condition = labelled(n, d, conditions)
+    erased = LEACE(shrinkage=shrinkage).fit(X, condition).transform(X)
+    expected = whitening_leace(X, condition, shrinkage)
+    np.testing.assert_allclose(erased, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(("n", "d", "conditions"), SHAPES)
+def test_leace_equals_the_reference_package_on_its_defaults(n, d, conditions):
+    X, condition = labelled(n, d, conditions, shift=1.5)
+    eraser = LeaceFitter.fit(torch.from_numpy(X), torch.from_numpy(one_hot(condition))).eraser
+    expected = eraser(torch.from_numpy(X)).numpy()
+    np.testing.assert_allclose(LEACE(shrinkage=True).fit(X, condition).transform(X), expected, atol=1e-8 * np.abs(X).max())
+
+
+@pytest.mark.parametrize(("n", "d", "conditions"), SHAPES)
+def test_leace_makes_class_means_equal_keeps_the_mean_and_changes_a_low_rank(n, d, conditions):
+    X, condition = labelled(n, d, conditions)
+    fitted = LEACE().fit(X, condition)
+    erased = fitted.transform(X)
+    before, after = class_means(X, condition), class_means(erased, condition)
+    assert np.ptp(before, axis=0).max() > 0.1
+    np.testing.assert_allclose(np.ptp(after, axis=0), 0, atol=1e-8)
+    np.testing.assert_allclose(erased.mean(axis=0), X.mean(axis=0), atol=1e-9)
+    assert np.linalg.matrix_rank(X - erased, tol=1e-7) == fitted.map_.rank == conditions - 1
+    np.testing.assert_allclose(fitted.transform(erased), erased, atol=1e-8)  # idempotent
+    assert fitted.map_.left.shape == (d, conditions - 1)
+
+
+@pytest.mark.parametrize("eraser", [LEACE(), STD()])
+def test_no_linear_classifier_learns_the_condition_after_erasure(eraser):
+    """Linear guardedness (paper Eq. 2): the best unregularised classifier has zero coefficients."""
+    X, condition = labelled(400, 12, 2)
+    before = LogisticRegression(C=1e12, tol=1e-12, max_iter=5000).fit(X, condition)
+    assert np.abs(before.coef_).max() > 0.1
+    fitted = eraser.fit(X, condition)
+    erased = fitted.transform(X, condition) if isinstance(eraser, STD) else fitted.transform(X)
+    after = LogisticRegression(C=1e12, tol=1e-12, max_iter=5000).fit(erased - erased.mean(axis=0), condition)
+    assert np.abs(after.coef_).max() < 1e-6
+
+
+def test_leace_is_the_smallest_change_among_guarding_maps():
+    """First-order optimality: moving the map within the guarding affine maps does not lower the mean squared change."""
+    X, condition = labelled(200, 6, 2)
+    mean, cross = X.mean(axis=0), (X - X.mean(axis=0)).T @ (condition - condition.mean())
+    erased = LEACE().fit(X, condition).transform(X)
+    smallest = ((erased - X) ** 2).sum()
+
+    def change(free):
+        # every linear map that guards sends the cross-covariance to zero: A = F (I - c c' / c'c)
+        matrix = free.reshape(6, 6) @ (np.eye(6) - np.outer(cross, cross) / (cross @ cross))
+        return (((X - mean) @ matrix.T + mean - X) ** 2).sum()
+
+    best = minimize(change, np.eye(6).ravel(), method="L-BFGS-B", options={"maxiter": 2000, "ftol": 1e-15, "gtol": 1e-9})
+    assert smallest == pytest.approx(best.fun, rel=1e-5)
+    assert smallest < change(np.eye(6).ravel()) * 0.999, "an orthogonal projection is a larger change"
+
+
+def test_leace_tolerance_drops_directions_without_data():
+    X, condition = labelled(100, 8, 2)
+    X = np.concatenate([X, X[:, :2] + 1e-13], axis=1)  # two columns repeat: the covariance is singular
+    erased = LEACE().fit(X, condition).transform(X)
+    np.testing.assert_allclose(erased[:, 8:], erased[:, :2], atol=1e-7)
+    np.testing.assert_allclose(np.ptp(class_means(erased, condition), axis=0), 0, atol=1e-8)
+
+
+# -- INLP -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("n", "d", "conditions"), [(400, 60, 2), (90, 300, 2), (120, 200, 3)])
+def test_inlp_is_an_orthogonal_projection_of_its_rank(n, d, conditions):
+    X, condition = labelled(n, d, conditions)
+    fitted = INLP(n_iterations=35 if conditions == 2 else 5).fit(X, condition)
+    directions = fitted.directions_
+    k = 35 if conditions == 2 else 15
+    assert directions.shape == (d, k)
+    np.testing.assert_allclose(directions.T @ directions, np.eye(k), atol=1e-12)
+    projected = fitted.transform(X)
+    np.testing.assert_allclose(fitted.transform(projected), projected, atol=1e-10)
+    assert np.linalg.matrix_rank(X - projected, tol=1e-8) == k
+    np.testing.assert_allclose(projected @ directions, 0, atol=1e-10)
+    assert len(fitted.accuracies_) == len(fitted.ends_)
+
+
+def test_inlp_lowers_what_its_classifiers_find():
+    X, condition = labelled(500, 40, 2, shift=0.5)
+    fitted = INLP(n_iterations=12).fit(X, condition)
+    assert fitted.accuracies_[0] > 0.95
+    assert fitted.accuracies_[-1] < 0.65
+    gaps = [np.linalg.norm(np.subtract(*class_means(fitted.at(i).transform(X), condition))) for i in range(13)]
+    assert gaps[-1] < 0.3 * gaps[0]
+
+
+def direct_inlp(X, condition, iterations, seed=0):
+    """The loop on the descriptors themselves, with rank-1 deflation."""
+    X, directions, accuracies = X.copy(), [], []
+    for _ in range(iterations):
+        classifier = SGDClassifier(max_iter=2500, class_weight="balanced", random_state=seed).fit(X, condition)
+        accuracies.append(balanced_accuracy_score(condition, classifier.predict(X)))
+        direction = classifier.coef_[0] / np.linalg.norm(classifier.coef_[0])
+        directions.append(direction)
+        X = X - np.outer(X @ direction, direction)
+    return np.array(directions).T, np.array(accuracies)
+
+
+@pytest.mark.parametrize(("n", "d"), [(300, 50), (150, 2000)])
+def test_inlp_in_sample_space_equals_the_direct_loop(n, d):
+    X, condition = labelled(n, d, 2, shift=0.15)
+    X /= np.linalg.norm(X, axis=1, keepdims=True)
+    fitted = INLP(n_iterations=6).fit(X.astype(np.float32), condition)
+    directions, accuracies = direct_inlp(X, condition, 6)
+    cosines = np.abs((fitted.directions_ * directions).sum(axis=0))
+    assert (cosines[:3] > 0.999).all()
+    np.testing.assert_allclose(fitted.accuracies_[:3], accuracies[:3], atol=0.02)
+
+
+def test_coordinates_keep_every_inner_product():
+    X, _ = labelled(40, 500, 2)
+    coordinates, lift = _coordinates(X, None)
+    assert coordinates.shape == (40, 40)
+    np.testing.assert_allclose(coordinates @ coordinates.T, X @ X.T, atol=1e-9 * np.abs(X @ X.T).max())
+    basis = np.linalg.qr(np.random.default_rng(0).standard_normal((40, 3)))[0]
+    np.testing.assert_allclose(X @ lift(basis), coordinates @ basis, atol=1e-9)
+
+
+def test_inlp_can_be_read_at_every_iteration():
+    X, condition = labelled(200, 30, 2)
+    fitted = INLP(n_iterations=5).fit(X, condition)
+    np.testing.assert_array_equal(fitted.at(0).transform(X), X)
+    np.testing.assert_allclose(fitted.at(5).transform(X), fitted.transform(X))
+    again = INLP(n_iterations=3).fit(X, condition)
+    np.testing.assert_allclose(fitted.at(3).transform(X), again.transform(X), atol=1e-10)
+    with pytest.raises(ValueError, match="iteration is 6; allowed: 0 to 5"):
+        fitted.at(6)
+
+
+def test_inlp_stops_when_nothing_is_left():
+    X, condition = labelled(12, 40, 2)
+    fitted = INLP(n_iterations=35).fit(X, condition)
+    assert fitted.directions_.shape[1] <= 12
+    assert len(fitted.ends_) < 35
+    np.testing.assert_allclose(fitted.transform(X), 0, atol=1e-8)
+
+
+def test_the_same_seed_gives_the_same_directions():
+    X, condition = labelled(80, 200, 2)
+    first, second = (INLP(n_iterations=4, seed=3).fit(X, condition).directions_ for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_classifiers_that_do_not_converge_are_counted_once(monkeypatch):
+    from artifact import suppression
+
+    impatient = type("SGDClassifier", (SGDClassifier,), {"__init__": lambda self, **kw: SGDClassifier.__init__(self, **{**kw, "max_iter": 1})})
+    monkeypatch.setattr(suppression, "SGDClassifier", impatient)
+    X, condition = labelled(60, 20, 2)
+    with pytest.warns(ConvergenceWarning, match="3 of 3 INLP classifiers did not converge") as caught:
+        INLP(n_iterations=3).fit(X, condition)
+    assert len(caught) == 1
+
+
+# -- STD ------------------------------------------------------------------------------------------------------------
+
+
+def test_std_gives_every_condition_mean_0_and_deviation_1():
+    X, condition = labelled(200, 15, 3)
+    X[:, 4] = np.where(condition == 1, 5.0, X[:, 4])  # constant under one condition
+    out = STD().fit(X, condition).transform(X, condition)
+    for c in range(3):
+        np.testing.assert_allclose(out[condition == c].mean(axis=0), 0, atol=1e-9)
+        expected = np.where((np.arange(15) == 4) & (c == 1), 0, 1)
+        np.testing.assert_allclose(out[condition == c].std(axis=0), expected, atol=1e-9)
+
+
+def test_std_takes_one_condition_for_all_rows_and_refuses_unseen_ones():
+    X, condition = labelled(60, 5, 2)
+    fitted = STD().fit(X, condition)
+    np.testing.assert_array_equal(fitted.transform(X, 1), fitted.transform(X, np.ones(60, int)))
+    with pytest.raises(ValueError, match=r"condition 7 was not seen at fit; the conditions are \[0, 1\]"):
+        fitted.transform(X, 7)
+
+
+# -- composition and storage ----------------------------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.sampled_from(["inlp", "leace", "shrunk"]), min_size=1, max_size=4), st.integers(0, 1000))
+def test_composition_equals_applying_in_order(kinds, seed):
+    steps, current = [], labelled(50, 24, 2, seed)[0]
+    X = current
+    for number, kind in enumerate(kinds):
+        condition = np.random.default_rng([seed, number]).permutation(np.arange(50) % 2)
+        step = {"inlp": INLP(n_iterations=3), "leace": LEACE(), "shrunk": LEACE(shrinkage=True)}[kind].fit(current, condition)
+        steps.append(step)
+        current = step.transform(current)
+    both = compose(*steps)
+    assert both.rank == sum(step.low_rank()[0].shape[1] for step in steps)
+    np.testing.assert_allclose(both.transform(X), current, atol=1e-8 * np.abs(X).max())
+    np.testing.assert_allclose(compose(compose(*steps[:1]), *steps[1:]).transform(X), current, atol=1e-8 * np.abs(X).max())
+
+
+def test_what_cannot_be_composed():
+    X, condition = labelled(60, 5, 2)
+    with pytest.raises(TypeError, match="STD has no low-rank form"):
+        compose(LEACE().fit(X, condition), STD().fit(X, condition))
+    with pytest.raises(ValueError, match="different widths: 4, 5"):
+        compose(LEACE().fit(X, condition), LEACE().fit(X[:, :4], condition))
+    with pytest.raises(ValueError, match="at least one transform"):
+        compose()
+
+
+def test_transforms_are_stored_under_their_key(tmp_path):
+    X, condition = labelled(60, 9, 2)
+    fitted = LEACE().fit(X, condition)
+    lowrank.save(fitted, tmp_path / "leace.npz", {"key": "abc", "fitted_on": "street"})
+    np.testing.assert_array_equal(lowrank.load(tmp_path / "leace.npz", "abc").transform(X), fitted.transform(X))
+    assert lowrank.load(tmp_path / "leace.npz", "other") is None
+    assert lowrank.load(tmp_path / "none.npz", "abc") is None
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_transforms_keep_the_dtype(kind):
+    X, condition = labelled(60, 9, 2)
+    X = X.astype(kind)
+    assert LEACE().fit(X, condition).transform(X).dtype == kind
+    assert INLP(n_iterations=2).fit(X, condition).transform(X).dtype == kind
+    assert STD().fit(X, condition).transform(X, condition).dtype == kind
+
+
+# -- views in the ranking pass --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("similarity", ["cosine", "l2", "dot"])
+@pytest.mark.parametrize("device", ["cpu", "torch"])
+def test_views_equal_transforming_the_descriptors_first(similarity, device, monkeypatch):
+    if device == "torch":
+        from artifact import ranking
+        from artifact.engines import TorchEngine
+
+        monkeypatch.setattr(ranking, "engine_for", lambda _: TorchEngine(torch.device("cpu")))
+    rng = np.random.default_rng(0)
+    n, d = 120, 40
+    places = rng.standard_normal((n, d))
+    bias = rng.standard_normal((2, d))
+    queries, database = ((places + 0.4 * rng.standard_normal((n, d)) + b).astype(np.float32) for b in bias)
+    queries, database = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in (queries, database))
+    where = np.arange(n, dtype=float)
+    X, condition = np.concatenate([queries, database]), np.repeat([0, 1], n)
+    inlp, leace = INLP(n_iterations=6).fit(X, condition), LEACE().fit(X, condition)
+    views = {"inlp": inlp, "inlp at 2": inlp.at(2), "leace": leace, "both": compose(leace, inlp)}
+    result = evaluate(queries, database, where, where, 1.0, views=views, similarity=similarity, retrieve=5)
+    for name, view in views.items():
+        q, c = (view.transform(x) for x in (queries, database))
+        alone = _without_unit_length_check(monkeypatch, q, c, where, similarity)
+        seen = result[name]
+        np.testing.assert_allclose(seen.database_counts.best, alone.database_counts.best, atol=1e-5)
+        np.testing.assert_array_equal(seen.ranks(distractors=False), alone.ranks(distractors=False))
+        np.testing.assert_array_equal(seen.ranks(distractors=True), alone.ranks(distractors=True))
+        np.testing.assert_array_equal(seen.retrieved(5, distractors=True)[0], alone.retrieved(5, distractors=True)[0])
+        np.testing.assert_allclose(seen.dar_by_distance([1, 5, np.inf]), alone.dar_by_distance([1, 5, np.inf]))
+    assert result["leace"].dar() > result.dar() + 0.2
+
+
+def _without_unit_length_check(monkeypatch, q, c, where, similarity):
+    """Transformed descriptors are not of unit length, which `l2` and `dot` ask of their inputs."""
+    from artifact import metrics
+
+    with monkeypatch.context() as patch:
+        patch.setattr(metrics, "_UNIT_TOLERANCE", np.inf)
+        return evaluate(q, c, where, where, 1.0, similarity=similarity, retrieve=5)
+
+
+# -- errors ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("estimator", [INLP(n_iterations=2), LEACE(), STD()])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda X, c: (X, np.zeros(len(c), int)), "all 20 descriptors have the condition 0; at least two conditions"),
+        (lambda X, c: (X, np.where(np.arange(20) == 3, 9, 0)), "condition 9 has one descriptor; at least two are needed"),
+        (lambda X, c: (np.ones_like(X), c), "all 20 descriptors are the same"),
+        (lambda X, c: (np.where(np.arange(20)[:, None] == 5, np.nan, X), c), "row 5 of the descriptors has NaN"),
+        (lambda X, c: (X, c[:-1]), r"condition has the shape \(19,\); allowed: \(20,\)"),
+        (lambda X, c: (X[0], c), r"descriptors have the shape \(6,\)"),
+        (lambda X, c: (X.astype(int), c), "type int64; allowed: .* float type"),
+    ],
+)  # fmt: skip
+def test_bad_fits_are_named(estimator, change, message):
+    X, condition = labelled(20, 6, 2)
+    with pytest.raises(ValueError, match=message):
+        clone(estimator).fit(*change(X, condition))
+
+
+def test_bad_transforms_are_named():
+    X, condition = labelled(20, 6, 2)
+    for estimator in (INLP(n_iterations=2), LEACE()):
+        with pytest.raises(NotFittedError):
+            estimator.transform(X)
+        with pytest.raises(ValueError, match=r"shape \(20, 5\); this transform was fitted on \(n, 6\)"):
+            estimator.fit(X, condition).transform(X[:, :5])
+    with pytest.raises(ValueError, match=r"fitted on \(n, 6\)"):
+        STD().fit(X, condition).transform(X[:, :5], 0)
+
+
+def test_estimators_follow_scikit_learn():
+    for estimator, parameters in ((INLP(7, seed=2), {"n_iterations": 7, "seed": 2, "device": None}), (LEACE(True), {"shrinkage": True, "tolerance": None, "device": None}), (STD(), {"epsilon": 1e-6})):
+        assert estimator.get_params() == parameters
+        assert clone(estimator).get_params() == parameters
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert LowRankMap(np.zeros((3, 0)), np.zeros((3, 0)), np.zeros(0)).transform(np.eye(3)).tolist() == np.eye(3).tolist()
