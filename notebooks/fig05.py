@@ -43,7 +43,7 @@ figures.scatter(study.table, page.method_titles, k=k)
 # Drawn from the values that the paper plots, for its eleven methods and six datasets. Not measured here.
 
 # %% tags=["remove-input"]
-figures.reported_scatter(page.manifest)
+figures.reported_scatter()
 
 # %% tags=["remove-input"]
 display(report.download(study.table, "fig05_scatter"))

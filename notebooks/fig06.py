@@ -57,7 +57,7 @@ figures.number_and_distance(number.table, distance.table, page.method_titles, k=
 # Drawn from the values that the paper plots for RobotCar. Not measured here.
 
 # %% tags=["remove-input"]
-figures.reported_number_and_distance(page.manifest)
+figures.reported_number_and_distance()
 
 # %% tags=["remove-input"]
 display(report.download(number.table, "fig06a_number"))

@@ -45,7 +45,7 @@ figures.condition(study.table, page.method_titles, query_condition=conditions[0]
 # Drawn from the values that the paper plots for RobotCar. Not measured here.
 
 # %% tags=["remove-input"]
-figures.reported_condition(page.manifest)
+figures.reported_condition()
 
 # %% tags=["remove-input"]
 display(report.download(study.table, "fig07_condition"))

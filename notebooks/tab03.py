@@ -61,7 +61,7 @@ report.beside_reported(study.table, page.method_titles, k=k)
 # For comparison, the paper's own numbers for its eleven methods and six datasets. They are not measured here.
 
 # %% tags=["remove-input", "full-width"]
-report.reported_recall_table(page.manifest)
+report.reported_recall_table()
 
 # %% tags=["remove-input"]
 display(report.download(study.table, "tab03_recall"))

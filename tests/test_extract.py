@@ -26,7 +26,8 @@ def load(project):
 def direct(traversal, entry, name):
     """Descriptors computed image by image, without the pipeline."""
     from artifact import methods
-    from artifact.methods.preprocessing import prepare, read_image
+    from artifact.images import read_image
+    from artifact.methods.preprocessing import prepare
 
     model = methods.build(name)
     images = [prepare(read_image(path, entry.preprocessing.colour), entry.preprocessing) for path in traversal.image_paths()]

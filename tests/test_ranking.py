@@ -95,7 +95,7 @@ def test_counts_equal_a_literal_sort_of_the_augmented_database(block, side, monk
 
 @pytest.mark.parametrize("side", [2, 1024])
 def test_the_engine_of_other_devices_equals_the_literal_sort(side, monkeypatch):
-    from artifact.engines import TorchEngine
+    from artifact.engine_torch import TorchEngine
 
     monkeypatch.setattr(ranking, "engine_for", lambda device: TorchEngine(device))
     with_tiles_of(monkeypatch, side)
@@ -190,7 +190,7 @@ def test_retrieval_lists_hold_the_most_similar_allowed_images(device, monkeypatc
     if device == "torch":
         import torch
 
-        from artifact.engines import TorchEngine
+        from artifact.engine_torch import TorchEngine
 
         monkeypatch.setattr(ranking, "engine_for", lambda _: TorchEngine(torch.device("cpu")))
     with_tiles_of(monkeypatch, 7)

@@ -302,7 +302,7 @@ def test_transforms_keep_the_dtype(kind):
 def test_views_equal_transforming_the_descriptors_first(similarity, device, monkeypatch):
     if device == "torch":
         from artifact import ranking
-        from artifact.engines import TorchEngine
+        from artifact.engine_torch import TorchEngine
 
         monkeypatch.setattr(ranking, "engine_for", lambda _: TorchEngine(torch.device("cpu")))
     rng = np.random.default_rng(0)

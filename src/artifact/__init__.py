@@ -1,9 +1,30 @@
 """Distractor-augmented evaluation and condition suppression of visual place recognition descriptors."""
 
-from artifact.lowrank import LowRankMap, compose
-from artifact.metrics import Evaluation, evaluate
-from artifact.splits import fit_region
-from artifact.suppression import INLP, LEACE, STD
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from artifact import methods
+    from artifact.lowrank import LowRankMap, compose
+    from artifact.metrics import Evaluation, evaluate
+    from artifact.splits import fit_region
+    from artifact.suppression import INLP, LEACE, STD
 
 __version__ = "1.0.0"
-__all__ = ["INLP", "LEACE", "STD", "Evaluation", "LowRankMap", "compose", "evaluate", "fit_region"]
+__all__ = ["INLP", "LEACE", "STD", "Evaluation", "LowRankMap", "compose", "evaluate", "fit_region", "methods"]
+
+_HOMES = {
+    "INLP": "suppression", "LEACE": "suppression", "STD": "suppression", "LowRankMap": "lowrank", "compose": "lowrank",
+    "Evaluation": "metrics", "evaluate": "metrics", "fit_region": "splits",
+}  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used: the numerical libraries take seconds to import."""
+    if name in _HOMES:
+        return getattr(import_module(f"artifact.{_HOMES[name]}"), name)
+    if name == "methods":
+        return import_module("artifact.methods")
+    raise AttributeError(f"module 'artifact' has no attribute {name!r}")

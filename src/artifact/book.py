@@ -231,15 +231,11 @@ def status_lines(manifest: Manifest, profile: str) -> list[str]:
     lines = [f"manifest  {manifest.path}", f"data root {manifest.data_root}", f"cache     {cache}"]
     entry = manifest.profile(profile)
     for name in entry.datasets:
-        if datasets.is_rendered_later(manifest, name):
-            lines.append(f"{name}: not rendered yet (make data)")
+        missing = datasets.describe_missing(manifest, name)
+        if missing:
+            lines.append(missing.splitlines()[0])
             continue
-        try:
-            loaded = datasets.load(manifest, name)
-        except datasets.DatasetError as error:
-            lines.append(f"{name}: {str(error).splitlines()[0]}")
-            continue
-        for traversal in loaded.traversals.values():
+        for traversal in datasets.load(manifest, name).traversals.values():
             ready = [method for method in entry.methods if extract.is_ready(manifest, traversal, method)]
             lines.append(
                 f"{name}/{traversal.name}: {len(traversal)} images, descriptors: {', '.join(ready) or 'none'}"

@@ -91,7 +91,9 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("extract", _extract, "extract the descriptors of a profile")
     scope(sub)
     sub.add_argument("--device", help="for example cpu, cuda or cuda:1 (default: CUDA if there is any)")
-    sub.add_argument("--ship", metavar="DATASET", help="for maintainers: store this dataset's descriptors in the package")
+    sub.add_argument(
+        "--ship", metavar="DATASET", help="for maintainers: store this dataset's descriptors in the package"
+    )
     sub = command("evaluate", _evaluate, "print R@K, DAR@K and RSR@K of datasets and methods")
     scope(sub)
     sub.add_argument("--datasets", nargs="+", help="names or folders (default: those of the profile)")

@@ -13,10 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numba import njit
 
-_CHUNK = 64  # columns that are tested together before any of them is looked at alone
+_CHUNK = 128  # columns that are tested together before any of them is looked at alone
 
 
 @dataclass
@@ -88,11 +87,6 @@ def _insert_distance(values, value):
 def _insert_places(first, places):
     """Put an image's place in each random order into that order's ascending list, where it is small enough."""
     last = first.shape[0] - 1
-    early = 0
-    for draw in range(places.size):
-        early += places[draw] < first[last, draw]
-    if early == 0:
-        return
     for draw in range(places.size):
         if places[draw] < first[last, draw]:
             slot = last
@@ -100,6 +94,17 @@ def _insert_places(first, places):
                 first[slot, draw] = first[slot - 1, draw]
                 slot -= 1
             first[slot, draw] = places[draw]
+
+
+@njit(nogil=True, cache=True)
+def _similarities(row, correction, scale, bias, out):
+    """Write the similarities of one tile row; an empty correction changes nothing."""
+    if correction.size:
+        for column in range(out.size):
+            out[column] = (row[column] - correction[column]) * scale[column] + bias[column]
+    else:
+        for column in range(out.size):
+            out[column] = row[column] * scale[column] + bias[column]
 
 
 @njit(nogil=True, cache=True)
@@ -113,17 +118,10 @@ def database_rows(
     """
     columns = tile.shape[1]
     similarity = np.empty(columns, np.float32)
-    corrected = correction.shape[0] > 0
+    nothing = np.empty(0, np.float32)
     top = top_similarity.shape[1]
     for row in range(tile.shape[0]):
-        if corrected:
-            for column in range(columns):
-                similarity[column] = (tile[row, column] - correction[row, column]) * scale[column] + bias[
-                    column
-                ]
-        else:
-            for column in range(columns):
-                similarity[column] = tile[row, column] * scale[column] + bias[column]
+        _similarities(tile[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
         query = offset + row
         level = np.float32(-np.inf)
         for entry in range(starts[query], starts[query + 1]):
@@ -142,126 +140,85 @@ def database_rows(
 
 
 @njit(nogil=True, cache=True)
+def _distances(here, pool_positions, begin, out):
+    """Write the distances from one position to ``out.size`` pool images from ``begin`` on."""
+    for place in range(out.size):
+        out[place] = 0.0
+    for axis in range(here.size):
+        for place in range(out.size):
+            difference = here[axis] - pool_positions[begin + place, axis]
+            out[place] += difference * difference
+    for place in range(out.size):
+        out[place] = np.sqrt(out[place])
+
+
+@njit(nogil=True, cache=True)
 def pool_rows(
-    tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, orders,
+    tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, orders, earliest,
     best, beaters, ties, farthest, first, top_similarity, top_index,
 ):  # fmt: skip
     """Count the allowed distractors of a tile that beat, or are level with, each row's best positive.
 
     Row ``r`` is query ``offset + r``, column ``c`` is pool image ``first_column + c``. An image is allowed when
     it is farther than ``threshold`` from the query. ``orders`` is ``(pool, draws)``: the place of each pool image
-    in each random order.
+    in each random order, and ``earliest`` its smallest place. Columns go by in chunks: the loops over a chunk have
+    no branches, and only a chunk that changes a list is looked at image by image.
     """
     columns = tile.shape[1]
     similarity = np.empty(columns, np.float32)
-    corrected = correction.shape[0] > 0
-    top = top_similarity.shape[1]
-    depth = farthest.shape[1]
+    nothing = np.empty(0, np.float32)
+    distance = np.empty(_CHUNK)
+    top, depth, draws = top_similarity.shape[1], farthest.shape[1], first.shape[2]
     for row in range(tile.shape[0]):
+        _similarities(tile[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
         query = offset + row
         level = best[query]
         floor = min(level, top_similarity[query, top - 1]) if top else level
-        if corrected:
-            for column in range(columns):
-                similarity[column] = (tile[row, column] - correction[row, column]) * scale[column] + bias[
-                    column
-                ]
-        else:
-            for column in range(columns):
-                similarity[column] = tile[row, column] * scale[column] + bias[column]
+        reached = 0
+        for column in range(columns):
+            reached += similarity[column] >= floor
+        if reached == 0:
+            continue
         for begin in range(0, columns, _CHUNK):
-            end = min(begin + _CHUNK, columns)
+            values = similarity[begin : begin + _CHUNK]
             reached = 0
-            for column in range(begin, end):
-                reached += similarity[column] >= floor
+            for place in range(values.size):
+                reached += values[place] >= floor
             if reached == 0:
                 continue
-            for column in range(begin, end):
-                value = similarity[column]
-                if value < floor:
-                    continue
-                image = first_column + column
-                squared = 0.0
-                for axis in range(positions.shape[1]):
-                    difference = positions[query, axis] - pool_positions[image, axis]
-                    squared += difference * difference
-                distance = np.sqrt(squared)
-                if distance <= threshold:
-                    continue
-                if value == level:
-                    ties[query] += 1
-                elif value > level:
-                    beaters[query] += 1
-                    if distance > farthest[query, depth - 1]:
-                        _insert_distance(farthest[query], distance)
-                    _insert_places(first[query], orders[image])
-                if top and value > top_similarity[query, top - 1]:
-                    _insert_descending(top_similarity[query], top_index[query], value, image)
-                    floor = min(level, top_similarity[query, top - 1])
-
-
-# -- other devices ------------------------------------------------------------------------------------------
-
-
-def database_rows_torch(tile, scale, bias, starts, positives, offset, counts: Counts) -> None:
-    """Do as :func:`database_rows`, with tensors on any device. ``tile`` is already corrected."""
-    rows = slice(offset, offset + tile.shape[0])
-    similarity = tile * scale + bias
-    entries = positives[starts[offset] : starts[offset + tile.shape[0]]]
-    lengths = np.diff(starts[offset : offset + tile.shape[0] + 1])
-    owner = torch.from_numpy(np.repeat(np.arange(tile.shape[0]), lengths)).to(tile.device)
-    values = similarity[owner, torch.from_numpy(entries).to(tile.device)]
-    level = torch.full((tile.shape[0],), -torch.inf, device=tile.device).scatter_reduce_(
-        0, owner, values, "amax"
-    )
-    equal = (similarity == level[:, None]).sum(1)
-    equal -= torch.zeros_like(equal).scatter_add_(0, owner, (values == level[owner]).to(equal.dtype))
-    counts.best[rows] = level.cpu().numpy()
-    counts.beaters[rows] = (similarity > level[:, None]).sum(1).cpu().numpy()
-    counts.ties[rows] = equal.cpu().numpy()
-    _merge_top(counts, rows, similarity, 0)
-
-
-def pool_rows_torch(
-    tile, scale, bias, offset, first_column, positions, pool_positions, threshold, orders, counts: Counts
-) -> None:  # fmt: skip
-    """Do as :func:`pool_rows`, with tensors on any device. ``tile`` is already corrected."""
-    rows = slice(offset, offset + tile.shape[0])
-    columns = slice(first_column, first_column + tile.shape[1])
-    similarity = tile * scale + bias
-    level = torch.from_numpy(counts.best[rows]).to(tile.device)[:, None]
-    squared = torch.zeros(tile.shape, dtype=torch.float64, device=tile.device)
-    for axis in range(positions.shape[1]):
-        difference = positions[rows, axis, None] - pool_positions[None, columns, axis]
-        squared += difference * difference
-    distance = squared.sqrt_()
-    allowed = distance > threshold
-    beats = allowed & (similarity > level)
-    counts.beaters[rows] += beats.sum(1).cpu().numpy()
-    counts.ties[rows] += (allowed & (similarity == level)).sum(1).cpu().numpy()
-    depth = min(counts.farthest.shape[1], tile.shape[1])
-    found = distance.masked_fill_(~beats, -torch.inf).topk(depth, dim=1).values.cpu().numpy()
-    merged = np.concatenate([counts.farthest[rows], found], axis=1)
-    counts.farthest[rows] = -np.sort(-merged, axis=1)[:, : counts.farthest.shape[1]]
-    for draw in range(counts.first.shape[2]):
-        places = orders[columns, draw].expand_as(tile).masked_fill(~beats, np.iinfo(np.int32).max)
-        found = places.topk(depth, dim=1, largest=False).values.cpu().numpy()
-        merged = np.concatenate([counts.first[rows, :, draw], found], axis=1)
-        counts.first[rows, :, draw] = np.sort(merged, axis=1)[:, : counts.first.shape[1]]
-    _merge_top(counts, rows, similarity.masked_fill(~allowed, -torch.inf), first_column)
-
-
-def _merge_top(counts: Counts, rows: slice, similarity: torch.Tensor, first_column: int) -> None:
-    """Merge the most similar columns of a tile into the running list; earlier columns win ties."""
-    top = counts.top_similarity.shape[1]
-    if not top:
-        return
-    values, columns = torch.sort(similarity, dim=1, descending=True, stable=True)
-    values, columns = values[:, :top].cpu().numpy(), columns[:, :top].cpu().numpy() + first_column
-    values = np.concatenate([counts.top_similarity[rows], values], axis=1)
-    columns = np.concatenate([counts.top_index[rows], columns], axis=1)
-    order = np.argsort(-values, axis=1, kind="stable")[:, :top]
-    counts.top_similarity[rows] = np.take_along_axis(values, order, axis=1)
-    counts.top_index[rows] = np.where(
-        np.isneginf(counts.top_similarity[rows]), -1, np.take_along_axis(columns, order, axis=1)
-    )
+            apart = distance[: values.size]
+            image = first_column + begin
+            _distances(positions[query], pool_positions, image, apart)
+            above, equal, farther, earlier, higher = 0, 0, 0, 0, 0
+            limit = farthest[query, depth - 1]
+            latest = first[query, depth - 1].max() if draws else 0
+            shown = top_similarity[query, top - 1] if top else np.float32(np.inf)
+            for place in range(values.size):
+                allowed = apart[place] > threshold
+                beats = allowed & (values[place] > level)
+                above += beats
+                equal += allowed & (values[place] == level)
+                farther += beats & (apart[place] > limit)
+                earlier += beats & (earliest[image + place] < latest)
+                higher += allowed & (values[place] > shown)
+            beaters[query] += above
+            ties[query] += equal
+            if farther:
+                for place in range(values.size):
+                    if values[place] > level and apart[place] > max(threshold, farthest[query, depth - 1]):
+                        _insert_distance(farthest[query], apart[place])
+            if earlier:
+                for place in range(values.size):
+                    if (
+                        values[place] > level
+                        and apart[place] > threshold
+                        and earliest[image + place] < latest
+                    ):
+                        _insert_places(first[query], orders[image + place])
+            if higher:
+                for place in range(values.size):
+                    if apart[place] > threshold and values[place] > top_similarity[query, top - 1]:
+                        _insert_descending(
+                            top_similarity[query], top_index[query], values[place], image + place
+                        )
+                floor = min(level, top_similarity[query, top - 1])

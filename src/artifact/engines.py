@@ -1,4 +1,4 @@
-"""Where the arithmetic of a ranking pass runs: NumPy and Numba on the CPU, PyTorch on other devices.
+"""Where the arithmetic of a ranking pass runs: NumPy and Numba on the CPU, or :mod:`artifact.engine_torch`.
 
 Both engines offer the same five operations on blocks of rows and columns; the schedule of the pass is in
 :mod:`artifact.ranking` and does not know which engine it drives.
@@ -8,15 +8,27 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Protocol
 
 import numpy as np
-import torch
 
 from artifact import counting
 from artifact.counting import Counts
 
 _CONVERTED = 32 * 2**20  # bytes of half-precision descriptors that are widened at a time
 _NOTHING = np.empty((0, 0), np.float32)
+
+
+class Engine(Protocol):
+    """What a ranking pass asks of a device."""
+
+    def __enter__(self) -> Engine: ...
+    def __exit__(self, *_: object) -> None: ...
+    def product(self, left: np.ndarray, rows: slice, right: np.ndarray, columns: slice) -> Any: ...  # noqa: D102
+    def correction(self, left: np.ndarray, right: np.ndarray) -> Any: ...  # noqa: D102
+    def transposed(self, tile: Any) -> Any: ...  # noqa: D102
+    def count_database(self, *arguments: Any) -> None: ...  # noqa: D102
+    def count_pool(self, *arguments: Any) -> None: ...  # noqa: D102
 
 
 class CpuEngine:
@@ -72,10 +84,11 @@ class CpuEngine:
         counts: Counts,
     ) -> None:  # fmt: skip
         """See :func:`artifact.counting.pool_rows`."""
+        earliest = orders.min(axis=1) if orders.shape[1] else np.zeros(len(orders), np.int32)
         self._by_rows(
             lambda rows, fix, first: counting.pool_rows(
                 tile[rows], fix, scale, bias, offset + first, first_column, positions, pool_positions, threshold,
-                orders, counts.best, counts.beaters, counts.ties, counts.farthest, counts.first,
+                orders, earliest, counts.best, counts.beaters, counts.ties, counts.farthest, counts.first,
                 counts.top_similarity, counts.top_index,
             ),
             len(tile), correction,
@@ -98,80 +111,14 @@ class CpuEngine:
         return self._buffers[name][:size].reshape(shape)
 
 
-class TorchEngine:
-    """Everything in PyTorch on one device; descriptors that fit stay there for the whole pass."""
-
-    def __init__(self, device: torch.device) -> None:
-        self._device = device
-        self._resident: dict[int, torch.Tensor] = {}
-        self._precision = torch.get_float32_matmul_precision()
-
-    def __enter__(self) -> TorchEngine:
-        # TF32 keeps ten bits of the mantissa and would decide near-ties at random.
-        torch.set_float32_matmul_precision("highest")
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        torch.set_float32_matmul_precision(self._precision)
-        self._resident.clear()
-
-    def product(self, left: np.ndarray, rows: slice, right: np.ndarray, columns: slice) -> torch.Tensor:
-        """Return ``left[rows] @ right[columns].T`` as float32."""
-        block, n = self._load(left, rows), len(range(*columns.indices(len(right))))
-        step = max(1, _CONVERTED // (4 * right.shape[1])) if id(right) not in self._resident else n
-        first = columns.indices(len(right))[0]
-        parts = [
-            block @ self._load(right, slice(first + start, first + min(start + step, n))).T
-            for start in range(0, n, step)
-        ]
-        return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
-
-    def correction(self, left: np.ndarray, right: np.ndarray) -> torch.Tensor:
-        """Return what a view subtracts from a tile, ``left @ right.T``; zero if the view changes nothing."""
-        if left.shape[1] == 0:
-            return torch.zeros((), device=self._device)
-        return torch.from_numpy(left).to(self._device) @ torch.from_numpy(right).to(self._device).T
-
-    def transposed(self, tile: torch.Tensor) -> torch.Tensor:
-        """Return the transposed tile."""
-        return tile.T if tile.ndim else tile
-
-    def count_database(
-        self, tile, correction, scale, bias, starts, positives, offset, counts: Counts
-    ) -> None:
-        """See :func:`artifact.counting.database_rows_torch`."""
-        scale, bias = self._send(scale), self._send(bias)
-        counting.database_rows_torch(tile - correction, scale, bias, starts, positives, offset, counts)
-
-    def count_pool(
-        self, tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, orders,
-        counts: Counts,
-    ) -> None:  # fmt: skip
-        """See :func:`artifact.counting.pool_rows_torch`."""
-        counting.pool_rows_torch(
-            tile - correction, self._send(scale), self._send(bias), offset, first_column, self._send(positions),
-            self._send(pool_positions), threshold, self._send(orders), counts,
-        )  # fmt: skip
-
-    def _send(self, array: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(array).to(self._device)
-
-    def _load(self, array: np.ndarray, rows: slice) -> torch.Tensor:
-        if id(array) not in self._resident and self._fits(array):
-            self._resident[id(array)] = self._send(np.ascontiguousarray(array)).float()
-        if id(array) in self._resident:
-            return self._resident[id(array)][rows]
-        return self._send(np.ascontiguousarray(array[rows])).float()
-
-    def _fits(self, array: np.ndarray) -> bool:
-        if self._device.type != "cuda":
-            return False
-        free, _ = torch.cuda.mem_get_info(self._device)
-        return array.size * 4 < free // 3
-
-
-def engine_for(device: str | torch.device | None) -> CpuEngine | TorchEngine:
+def engine_for(device: Any) -> Engine:
     """Return the engine of a device; ``None`` takes CUDA if there is any, else the CPU."""
-    if device is None:
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-    return CpuEngine() if str(device) == "cpu" else TorchEngine(torch.device(device))
+    if str(device) == "cpu":
+        return CpuEngine()
+    import torch  # takes longer to import than many a ranking takes
+
+    if device is None and not torch.cuda.is_available():
+        return CpuEngine()
+    from artifact.engine_torch import TorchEngine
+
+    return TorchEngine(torch.device("cuda" if device is None else device))

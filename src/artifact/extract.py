@@ -16,17 +16,19 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from tqdm import tqdm
 
 from artifact import methods, store
 from artifact.datasets import shipped
 from artifact.datasets.traversal import Traversal
+from artifact.images import UnreadableImageError, read_image
 from artifact.manifest import Manifest, MethodEntry, Preprocessing
-from artifact.methods.preprocessing import UnreadableImageError, prepare, read_image
+
+if TYPE_CHECKING:
+    import torch  # imported where descriptors are made: reading stored ones does not need it
 
 REVISION = 1  # raise when the same model and images would give other descriptors
 
@@ -148,49 +150,75 @@ def _extract(
     path: Path, key: str, traversal: Traversal, method: str, entry: MethodEntry, device: Any, workers: int | None,
     *, progress: bool,
 ) -> None:  # fmt: skip
-    begun = time.time()
+    import torch
+
+    begun = time.monotonic()
     chosen = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
     model = methods.model_of(method, entry).to(chosen)
     output = _PartialFile(path, key, (len(traversal), entry.dimension))
-    batches = list(_batches(len(traversal), entry.batch_size))
-    paths = traversal.image_paths()
-    unreadable: list[str] = []
-    forward_seconds = 0.0
+    clock = Clock()
     label = f"{method} · {traversal.dataset}/{traversal.name}"
-    with tqdm(total=len(traversal), initial=output.done * entry.batch_size, unit="image", desc=label,
-              disable=not progress, smoothing=0.05, leave=False) as bar:  # fmt: skip
-        todo = [paths[rows] for rows in batches[output.done :]]
-        for rows, (images, errors) in zip(
-            batches[output.done :], _read(todo, entry.preprocessing, workers), strict=True
-        ):
-            unreadable += errors
-            if not unreadable:  # once an image is broken, only look for the other broken ones
-                started = time.perf_counter()
-                values = _forward(model, images, chosen)
-                forward_seconds += time.perf_counter() - started
-                output.write(
-                    rows,
-                    _checked(
-                        values, entry, [traversal.image_names[i] for i in range(rows.start, rows.stop)], label
-                    ),
-                )
-            bar.update(rows.stop - rows.start)
-    if unreadable:
-        output.pause()
-        listed = "\n  ".join(unreadable[:_LISTED]) + (
-            f"\n  and {len(unreadable) - _LISTED} more" if len(unreadable) > _LISTED else ""
-        )
-        raise ExtractionError(
-            f"{label}: {len(unreadable)} of {len(traversal)} images cannot be read:\n  {listed}"
-        )
+    with tqdm(
+        total=len(traversal), initial=min(output.done * entry.batch_size, len(traversal)), unit="image", desc=label,
+        disable=None if progress else True, smoothing=0.05, leave=False,
+    ) as bar:  # fmt: skip
+        try:
+            for rows, values in describe(
+                traversal, model, entry, chosen, workers, bar, first=output.done, clock=clock
+            ):
+                output.write(rows, values)
+        except BaseException:
+            output.pause()
+            raise
     output.complete(
         {
             "key": key, "method": method, "dataset": traversal.dataset, "traversal": traversal.name,
             "images": traversal.digest, "preprocessing": entry.preprocessing.model_dump(), "revision": REVISION,
             "device": str(chosen), "torch": torch.__version__, "machine": platform.machine(),
-            "seconds": round(time.time() - begun, 3), "forward_seconds": round(forward_seconds, 3),
+            "seconds": round(time.monotonic() - begun, 3), "forward_seconds": round(clock.seconds, 3),
         }
     )  # fmt: skip
+
+
+@dataclass
+class Clock:
+    """Seconds that the model computed."""
+
+    seconds: float = 0.0
+
+
+def describe(
+    traversal: Traversal, model: torch.nn.Module, entry: MethodEntry, device: torch.device, workers: int | None, bar: tqdm,
+    *, first: int = 0, clock: Clock | None = None,
+) -> Iterator[tuple[slice, np.ndarray]]:  # fmt: skip
+    """Yield the rows and descriptors of each batch, from batch ``first`` on.
+
+    Raises
+    ------
+    ExtractionError
+        At the end, if images could not be read: the message names all of them. From the first one on, nothing more is
+        described.
+    """
+    clock = clock or Clock()
+    label = f"{entry.title} · {traversal.dataset}/{traversal.name}"
+    batches = list(_batches(len(traversal), entry.batch_size))[first:]
+    paths = traversal.image_paths()
+    unreadable: list[str] = []
+    prepared = _read([paths[rows] for rows in batches], entry.preprocessing, workers)
+    for rows, (images, errors) in zip(batches, prepared, strict=True):
+        unreadable += errors
+        if not unreadable:
+            begun = time.perf_counter()
+            values = _forward(model, images, device)
+            clock.seconds += time.perf_counter() - begun
+            yield rows, _checked(values, entry, list(traversal.image_names[rows]), label)
+        bar.update(rows.stop - rows.start)
+    if unreadable:
+        more = f"\n  and {len(unreadable) - _LISTED} more" if len(unreadable) > _LISTED else ""
+        listed = "\n  ".join(unreadable[:_LISTED])
+        raise ExtractionError(
+            f"{label}: {len(unreadable)} of {len(traversal)} images cannot be read:\n  {listed}{more}"
+        )
 
 
 def _batches(n: int, size: int) -> Iterator[slice]:
@@ -200,6 +228,8 @@ def _batches(n: int, size: int) -> Iterator[slice]:
 
 def _forward(model: torch.nn.Module, images: list[np.ndarray], device: torch.device) -> np.ndarray:
     """Run the model on a batch; images of different sizes go one by one."""
+    import torch
+
     groups = [images] if len({image.shape for image in images}) == 1 else [[image] for image in images]
     with torch.inference_mode():
         outputs = [model(torch.from_numpy(np.stack(group)).to(device)).float().cpu() for group in groups]
@@ -301,6 +331,10 @@ def _context() -> multiprocessing.context.BaseContext:
 
 
 def _prepare_batch(paths: list[Path], preprocessing: Preprocessing) -> tuple[list[np.ndarray], list[str]]:
+    import torch
+
+    from artifact.methods.preprocessing import prepare
+
     torch.set_num_threads(1)
     images, errors = [], []
     for path in paths:

@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
 
 from artifact import paper
-from artifact.manifest import Manifest
 from artifact.plotting import (
     DATABASE_COLOUR,
     DISTRACTOR_COLOUR,
@@ -41,14 +40,15 @@ def embed(figure: Figure, description: str, *, form: str = "svg", width: int | N
     description
         Text alternative for readers who do not see it.
     form
-        ``svg`` for drawings, ``png`` for photographs.
+        ``svg`` for drawings, ``jpeg`` for photographs.
     width
         Largest width on the page in pixels; ``None`` is the figure's own.
     """
     stream = io.BytesIO()
     # Without a fixed date equal figures would have different bytes.
-    figure.savefig(stream, format=form, metadata={"Date": None} if form == "svg" else None)
-    kind = {"svg": "image/svg+xml", "png": "image/png"}[form]
+    options = {"metadata": {"Date": None}} if form == "svg" else {"dpi": 150, "pil_kwargs": {"quality": 85}}
+    figure.savefig(stream, format=form, **options)
+    kind = {"svg": "image/svg+xml", "jpeg": "image/jpeg"}[form]
     data = base64.b64encode(stream.getvalue()).decode()
     style = f' style="max-width:{width}px"' if width else ""
     return HTML(
@@ -71,12 +71,12 @@ def scatter(table: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> HT
     )
 
 
-def reported_scatter(manifest: Manifest) -> HTML:
+def reported_scatter() -> HTML:
     """Draw Fig. 5 from the values that the paper plots."""
     points = paper.reported("fig05").rename(columns={"recall_percent": "recall", "dar_percent": "dar"})
-    named = paper.reported("tab01").set_index("dataset")["title"]
+    named = paper.dataset_titles()
     panels = {named[dataset]: rows for dataset, rows in points.groupby("dataset", sort=False)}
-    titles = {method: manifest.method(method).title for method in points["method"].unique()}
+    titles = paper.method_titles()
     return embed(
         _scatter(panels, titles, 1), "The paper's DAR@1 against R@1 of eleven methods on six datasets"
     )
@@ -120,13 +120,13 @@ def number_and_distance(
     )
 
 
-def reported_number_and_distance(manifest: Manifest) -> HTML:
+def reported_number_and_distance() -> HTML:
     """Draw Fig. 6 from the values that the paper plots for RobotCar."""
     number = paper.reported("fig06_number").rename(columns={"dar_percent": "DAR"})
     distance = paper.reported("fig06_distance").rename(
         columns={"dar_percent": "DAR", "minimum_distance_metres": "distance"}
     )
-    titles = {method: manifest.method(method).title for method in number["method"].unique()}
+    titles = paper.method_titles()
     figure = _number_and_distance(number, distance, titles, 1, "m")
     return embed(figure, "The paper's DAR@1 on RobotCar against distractor number and distance")
 
@@ -177,12 +177,12 @@ def condition(table: pd.DataFrame, titles: Mapping[str, str], *, query_condition
     )
 
 
-def reported_condition(manifest: Manifest) -> HTML:
+def reported_condition() -> HTML:
     """Draw Fig. 7 from the values that the paper plots for RobotCar."""
     table = paper.reported("fig07").rename(
         columns={"dar_percent": "DAR", "distractor_condition": "condition"}
     )
-    titles = {method: manifest.method(method).title for method in table["method"].unique()}
+    titles = paper.method_titles()
     return embed(
         _condition(table, titles, "sun,clouds", 1), "The paper's DAR@1 on RobotCar by distractor condition"
     )

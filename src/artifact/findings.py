@@ -208,8 +208,14 @@ def collect(manifest: Manifest, names: Sequence[str], methods: Sequence[str], *,
     metric = next((name for name, entry in entries.items() if entry.threshold.unit == "metres"), None)
     if metric is not None:
         threshold = entries[metric].threshold.value
-        distances = [threshold, *(d for d in (50.0, 75.0, 100.0, 150.0, 200.0) if d > threshold), float("inf")]
-        number = studies.distractor_number(manifest, metric, methods, [0, 0.1, 0.2, 0.4, 0.6, 0.8, 1], seed=seed)
+        distances = [
+            threshold,
+            *(d for d in (50.0, 75.0, 100.0, 150.0, 200.0) if d > threshold),
+            float("inf"),
+        ]
+        number = studies.distractor_number(
+            manifest, metric, methods, [0, 0.1, 0.2, 0.4, 0.6, 0.8, 1], seed=seed
+        )
         distance = studies.distractor_distance(manifest, metric, methods, distances, seed=seed)
         found += [
             few_distractors_suffice(number.table, titles),

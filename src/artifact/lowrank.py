@@ -57,7 +57,9 @@ class LowRankMap:
         """
         X = np.asarray(X)
         if X.ndim != 2 or X.shape[1] != self.dimension:
-            raise ValueError(f"descriptors have the shape {X.shape}; this transform was fitted on (n, {self.dimension})")
+            raise ValueError(
+                f"descriptors have the shape {X.shape}; this transform was fitted on (n, {self.dimension})"
+            )
         kind = X.dtype if X.dtype in (np.float32, np.float64) else np.float32
         left, right, offset = (part.astype(kind) for part in (self.left, self.right, self.offset))
         X = X.astype(kind, copy=False)
@@ -91,11 +93,15 @@ def compose(*steps: Any) -> LowRankMap:
         raise ValueError("compose needs at least one transform")
     for step in steps:
         if not hasattr(step, "low_rank"):
-            raise TypeError(f"{type(step).__name__} has no low-rank form; INLP, LEACE and their compositions have")
+            raise TypeError(
+                f"{type(step).__name__} has no low-rank form; INLP, LEACE and their compositions have"
+            )
     parts = [step.low_rank() for step in steps]
     widths = {part[0].shape[0] for part in parts}
     if len(widths) > 1:
-        raise ValueError(f"the transforms were fitted on different widths: {', '.join(map(str, sorted(widths)))}")
+        raise ValueError(
+            f"the transforms were fitted on different widths: {', '.join(map(str, sorted(widths)))}"
+        )
     left, right, offset = parts[0]
     for next_left, next_right, next_offset in parts[1:]:
         overlap = left.T @ next_right

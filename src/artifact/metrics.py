@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import hypergeom
+from scipy.special import gammaln
 
 from artifact.counting import Counts
 from artifact.ranking import ORIGINAL, ImageSet, LowRank, Options, Ranking, rank, squared_norms
@@ -170,8 +170,7 @@ class Evaluation:
         beaters = self.distractor_counts.beaters
         shares = np.empty(len(sizes))
         for index, size in enumerate(sizes):
-            probability = hypergeom.cdf(spare, self.n_distractors, beaters, size)
-            shares[index] = np.where(spare < 0, 0.0, probability).mean()
+            shares[index] = _at_most(spare, self.n_distractors, beaters, int(size)).mean()
         return shares
 
     def dar_by_ratio_draws(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
@@ -358,6 +357,23 @@ def evaluate(
         threshold=threshold,
         pool_name=next(iter(pools)),
     )
+
+
+def _at_most(spare: np.ndarray, pool: int, beaters: np.ndarray, size: int) -> np.ndarray:
+    """Probability that at most ``spare`` of the beaters are among ``size`` images drawn from a pool of ``pool``."""
+
+    def log_choose(n: np.ndarray, k: np.ndarray) -> np.ndarray:
+        return gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1)
+
+    total = np.zeros(len(beaters))
+    for drawn in range(int(spare.max(initial=-1)) + 1):
+        possible = (drawn <= spare) & (drawn <= beaters) & (drawn <= size) & (size - drawn <= pool - beaters)
+        n = beaters[possible]
+        log_probability = (
+            log_choose(n, drawn) + log_choose(pool - n, size - drawn) - log_choose(np.float64(pool), np.float64(size))
+        )
+        total[possible] += np.exp(log_probability)
+    return np.minimum(total, 1.0)
 
 
 # -- the boundary: everything past here is trusted ----------------------------------------------------------

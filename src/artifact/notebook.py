@@ -92,6 +92,14 @@ class Page:
         where = f"dataset {dataset!r}" if dataset else f"no dataset of profile {self.profile!r}"
         raise ManifestError(f"{where}: this page needs a dataset with {' and '.join(needs)}")
 
+    def rendered(self) -> list[str]:
+        """Return the datasets that are rendered."""
+        return [name for name in self.datasets if data.entry_of(self.manifest, name).kind == "city"]
+
+    def load_all(self, dataset: str) -> data.Dataset:
+        """Load a dataset with all of its traversals."""
+        return data.load(self.manifest, dataset, data.entry_of(self.manifest, dataset).traversals)
+
     def conditions(self, dataset: str) -> tuple[str, str]:
         """Return the conditions of a dataset's query and database."""
         entry = data.entry_of(self.manifest, dataset)

@@ -70,6 +70,16 @@ def reported(name: str) -> pd.DataFrame:
         return pd.read_csv(stream, keep_default_na=False, na_values=[""])
 
 
+def method_titles() -> dict[str, str]:
+    """Return the printed title of each of the paper's methods, in the order of its tables."""
+    return dict(zip(*(reported("tab02")[column] for column in ("method", "title")), strict=True))
+
+
+def dataset_titles() -> dict[str, str]:
+    """Return the printed title of each of the paper's datasets, in the order of its tables."""
+    return dict(zip(*(reported("tab01")[column] for column in ("dataset", "title")), strict=True))
+
+
 def recall_table() -> pd.DataFrame:
     """Return Table III as one row per dataset and method with ``R@1``, ``DAR@1``, ``RSR@1`` in percent."""
     table = reported("tab03").pivot(index=["dataset", "method"], columns="metric", values="percent")

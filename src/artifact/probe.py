@@ -54,7 +54,9 @@ def probe_split(query_positions: np.ndarray, database_positions: np.ndarray, see
         groups = [np.flatnonzero(side(values, cut)) for values in along]
         size = min(map(len, groups))
         if size < 2:
-            raise ValueError(f"a half of the evaluation region has {size} images of one condition; a probe needs two of each")
+            raise ValueError(
+                f"a half of the evaluation region has {size} images of one condition; a probe needs two of each"
+            )
         chosen += [np.sort(generator.choice(group, size, replace=False)) for group in groups]
     return ProbeSplit(*chosen)
 

@@ -12,14 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
-import torch
 from scipy.spatial import cKDTree
 
 from artifact.counting import Counts
-from artifact.engines import CpuEngine, TorchEngine, engine_for
+from artifact.engines import Engine, engine_for
 
 Similarity = Literal["cosine", "dot", "l2"]
 
@@ -66,7 +65,7 @@ class Options:
     retrieve: int = 0
     seed: int = 0
     memory: int = 256 * 2**20
-    device: str | torch.device | None = None
+    device: Any = None
 
 
 @dataclass(frozen=True)
@@ -154,7 +153,14 @@ def rank(
         starts = np.concatenate([[0], np.cumsum(np.diff(starts)[evaluated])])
     transforms = {ORIGINAL: None, **(views or {})}
     with engine_for(options.device) as engine:
-        run = _Pass(engine, queries, _readings(queries, transforms, options.similarity), threshold, transforms, options)
+        run = _Pass(
+            engine,
+            queries,
+            _readings(queries, transforms, options.similarity),
+            threshold,
+            transforms,
+            options,
+        )
         in_database = run.over_database(database, starts, positives)
         best = {view: counts.best for view, counts in in_database.items()}
         in_pools = {
@@ -212,14 +218,16 @@ class _Reading:
 
 @dataclass(frozen=True)
 class _Pass:
-    engine: CpuEngine | TorchEngine
+    engine: Engine
     queries: ImageSet
     rows: Mapping[str, _Reading]
     threshold: float
     transforms: Mapping[str, LowRank | None]
     options: Options
 
-    def over_database(self, database: ImageSet, starts: np.ndarray, positives: np.ndarray) -> dict[str, Counts]:
+    def over_database(
+        self, database: ImageSet, starts: np.ndarray, positives: np.ndarray
+    ) -> dict[str, Counts]:
         """Multiply blocks of queries with the whole database: best positives, and the images above them."""
         options, n = self.options, len(self.queries)
         columns = _readings(database, self.transforms, options.similarity)
@@ -227,7 +235,9 @@ class _Pass:
         copies = 2 if len(self.transforms) > 1 else 1
         step = max(1, min(_LARGEST_ROWS, options.memory // (4 * copies * len(database))))
         for rows in _blocks(n, step):
-            tile = self.engine.product(self.queries.descriptors, rows, database.descriptors, slice(0, len(database)))
+            tile = self.engine.product(
+                self.queries.descriptors, rows, database.descriptors, slice(0, len(database))
+            )
             for view, column in columns.items():
                 correction = self.engine.correction(self.rows[view].left[rows], column.right)
                 self.engine.count_database(
@@ -240,7 +250,9 @@ class _Pass:
         options, n = self.options, len(self.queries)
         own = pool is self.queries
         columns = self.rows if own else _readings(pool, self.transforms, options.similarity)
-        counts = {view: Counts.empty(n, options.depth, options.draws, options.retrieve) for view in self.transforms}
+        counts = {
+            view: Counts.empty(n, options.depth, options.draws, options.retrieve) for view in self.transforms
+        }
         for view in self.transforms:
             counts[view].best[:] = best[view]
         orders = _draw_orders(len(pool), options)
@@ -275,8 +287,12 @@ def _readings(
     """
     squared = squared_norms(images.descriptors)
     readings = {}
-    bases = {view: [np.asarray(part, np.float32) for part in t.low_rank()] for view, t in transforms.items() if t}
-    projected = _project(images.descriptors, [part for left, right, _ in bases.values() for part in (left, right)])
+    bases = {
+        view: [np.asarray(part, np.float32) for part in t.low_rank()] for view, t in transforms.items() if t
+    }
+    projected = _project(
+        images.descriptors, [part for left, right, _ in bases.values() for part in (left, right)]
+    )
     for view in transforms:
         left_factor = right_factor = np.zeros((len(images), 0), np.float32)
         change = 0.0
@@ -284,7 +300,9 @@ def _readings(
             left, _, offset = bases[view]
             u, a = next(projected), next(projected) - offset
             remainder = u - a @ (left.T @ left)
-            change = -np.einsum("nk,nk->n", a, u, dtype=np.float64) - np.einsum("nk,nk->n", remainder, a, dtype=np.float64)
+            change = -np.einsum("nk,nk->n", a, u, dtype=np.float64) - np.einsum(
+                "nk,nk->n", remainder, a, dtype=np.float64
+            )
             left_factor, right_factor = np.concatenate([a, remainder], axis=1), np.concatenate([u, a], axis=1)
             if a.size and np.abs(remainder).max() <= _NEGLIGIBLE * max(np.abs(a).max(), np.abs(u).max()):
                 left_factor, right_factor = np.ascontiguousarray(a), np.ascontiguousarray(u)

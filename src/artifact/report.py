@@ -26,6 +26,7 @@ from artifact.notebook import Page
 from artifact.protocol import Decision
 from artifact.studies import METRICS, Study, input_in_words, with_means
 
+
 def finding(*findings: Finding) -> HTML:
     """Show claims of the paper, what this run measured, and whether they agree."""
     return HTML("".join(_one_finding(item) for item in findings))
@@ -160,25 +161,24 @@ def recall_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1, 
     )
 
 
-def reported_recall_table(manifest: Manifest) -> HTML:
+def reported_recall_table() -> HTML:
     """Show the paper's own Table III, with its marks and ranks, labelled as reported."""
     cells = paper.reported("tab03")
     names = list(dict.fromkeys(cells["dataset"]))
-    methods = list(dict.fromkeys(cells["method"]))
-    named = paper.reported("tab01").set_index("dataset")["title"].to_dict() | {"mean": "Mean"}
+    titles = paper.method_titles()
+    named = paper.dataset_titles() | {"mean": "Mean"}
     by_cell = cells.set_index(["dataset", "metric", "method"]).sort_index()
     columns, marked = {}, {}
     for name in names:
         for metric in METRICS:
-            part = by_cell.loc[(name, f"{metric}@1")].loc[methods]
+            part = by_cell.loc[(name, f"{metric}@1")].loc[list(titles)]
             columns[name, metric] = part["percent"].tolist()
             marked[name, metric] = part["mark"].fillna("").tolist()
     ranks = {
         (m, metric): int(by_cell.loc[("mean", f"{metric}@1", m), "rank"])
-        for m in methods
+        for m in titles
         for metric in METRICS
     }
-    titles = {method: manifest.method(method).title for method in methods}
     label = "Reported by the paper (not measured here)."
     return _recall_html([named[n] for n in names], titles, columns, marked, ranks, 1, label)
 
@@ -202,7 +202,9 @@ def _recall_html(heads, titles, columns, marked, ranks, k, label) -> HTML:  # no
 def scope_notice(page: Page) -> HTML:
     """Say in a box what this build was measured on, and that it is not the paper's data where it is not."""
     kinds = {page.manifest.method(name).kind for name in page.methods}
-    reported = [n for n in page.datasets if page.manifest.datasets.get(n) and page.manifest.datasets[n].reported_as]
+    reported = [
+        n for n in page.datasets if page.manifest.datasets.get(n) and page.manifest.datasets[n].reported_as
+    ]
     comparable = "paper" in kinds and reported
     note = (
         "Numbers are compared with the paper's where dataset and method are the same."
@@ -210,7 +212,9 @@ def scope_notice(page: Page) -> HTML:
         else "None of these numbers can be compared with the paper's one by one: no method of the paper is among them. "
         "They show whether its claims hold elsewhere."
     )
-    return HTML(f'<div class="admonition note"><p class="admonition-title">What this build shows</p><p>{html.escape(page.label)} {note}</p></div>')
+    return HTML(
+        f'<div class="admonition note"><p class="admonition-title">What this build shows</p><p>{html.escape(page.label)} {note}</p></div>'
+    )
 
 
 def headline(frame: pd.DataFrame, titles: Mapping[str, str]) -> HTML:
@@ -325,7 +329,7 @@ def methods_table(frame: pd.DataFrame) -> HTML:
 def reported_methods_table(manifest: Manifest) -> HTML:
     """Show the paper's Table II, with the input sizes that this artifact uses where the paper states none."""
     frame = paper.reported("tab02")
-    entries = [manifest.method(name) for name in frame["method"]]
+    entries = [manifest.methods.get(name) for name in frame["method"]]
     shown = pd.DataFrame(
         {
             "Method": frame["title"],
@@ -334,11 +338,9 @@ def reported_methods_table(manifest: Manifest) -> HTML:
             "Dim": frame["dimension"],
             "Train data": frame["train_data"],
             "Re-rank": frame["rerank"],
-            "Input (ours)": [input_in_words(entry.preprocessing) for entry in entries],
-            "Batch (ours)": [
-                f"{entry.batch_size}{' ‡' if entry.batch_dependent else ''}" for entry in entries
-            ],
-            "Licence": [entry.licence for entry in entries],
+            "Input (ours)": [input_in_words(e.preprocessing) if e else "–" for e in entries],
+            "Batch (ours)": [f"{e.batch_size}{' ‡' if e.batch_dependent else ''}" if e else "–" for e in entries],
+            "Licence": [e.licence if e else "–" for e in entries],
         }
     )
     note = "Reported by the paper; the last three columns are this artifact's. ‡ descriptors depend on the batch."
@@ -357,7 +359,9 @@ def beside_reported(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 
             shown[f"{metric}@{k} %"] = _beside(row, metric)
         shown |= {"Queries": row["queries"], "From": html.escape(row["origin"])}
         rows.append(shown)
-    return table(pd.DataFrame(rows), numeric=[*(f"{metric}@{k} %" for metric in METRICS), "Queries"], escape=False)
+    return table(
+        pd.DataFrame(rows), numeric=[*(f"{metric}@{k} %" for metric in METRICS), "Queries"], escape=False
+    )
 
 
 def _beside(row: Mapping[str, Any], metric: str) -> str:

@@ -200,7 +200,7 @@ def run(
     jobs = jobs or min(8, os.cpu_count() or 1)
     with (
         ThreadPoolExecutor(jobs) as pool,
-        tqdm(total=len(tasks), unit="notebook", desc="notebooks", leave=False) as bar,
+        tqdm(total=len(tasks), unit="notebook", desc="notebooks", leave=False, disable=None) as bar,
     ):
 
         def one(task: Task) -> Outcome:

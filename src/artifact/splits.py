@@ -126,7 +126,9 @@ def split(
     """
     reserved = fraction if evaluation_fraction is None else 1 - evaluation_fraction
     if fraction > reserved + 1e-12:
-        raise ValueError(f"fraction {fraction:g} and evaluation_fraction {evaluation_fraction:g} exceed 1 together")
+        raise ValueError(
+            f"fraction {fraction:g} and evaluation_fraction {evaluation_fraction:g} exceed 1 together"
+        )
     everything = np.arange(len(query_positions))
     fit_queries = fit_region(query_positions, fraction, where)
     excluded = fit_region(query_positions, reserved, where)
@@ -135,7 +137,8 @@ def split(
         fit_database=_colocated(query_positions[fit_queries], database_positions, threshold),
         evaluation_queries=np.setdiff1d(everything, excluded),
         evaluation_database=np.setdiff1d(
-            np.arange(len(database_positions)), _colocated(query_positions[excluded], database_positions, threshold)
+            np.arange(len(database_positions)),
+            _colocated(query_positions[excluded], database_positions, threshold),
         ),
     )
 

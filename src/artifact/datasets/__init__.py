@@ -13,6 +13,7 @@ import numpy as np
 
 from artifact import store
 from artifact.datasets import folder, shipped
+from artifact.datasets.rendered import is_rendered, rendered
 from artifact.datasets.traversal import Dataset, DatasetError, Traversal
 from artifact.manifest import DatasetEntry, Manifest, ManifestError, Threshold, TraversalEntry, parse_dataset
 
@@ -167,15 +168,15 @@ def _load_gardens_point(manifest: Manifest, dataset: str, entry: DatasetEntry, n
 
 
 def _load_city(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
-    from artifact.datasets import city
-
     traversal = entry.traversals[name]
-    rendered = city.rendered(
-        traversal.render or {}, store.cache_folder(manifest.path.parent) / "city", f"{dataset}/{name}"
-    )
-    names = folder.list_images(rendered)
-    positions, _ = folder.positions_from_csv(rendered / folder.POSITIONS_FILE, names)
-    return _traversal(manifest, dataset, name, traversal.condition, rendered, names, positions)
+    images = rendered(traversal.render or {}, store.cache_folder(manifest.path.parent), f"{dataset}/{name}")
+    names = folder.list_images(images)
+    positions, found = folder.positions_from_csv(images / folder.POSITIONS_FILE, names)
+    if (found == "metres") != (entry.threshold.unit == "metres"):
+        raise DatasetError(
+            f"{dataset}/{name}: the threshold is in {entry.threshold.unit} but the positions are in {found}"
+        )
+    return _traversal(manifest, dataset, name, traversal.condition, images, names, positions)
 
 
 def _traversal(
@@ -228,11 +229,14 @@ def _check_pair(name: str, entry: DatasetEntry, query: Traversal, database: Trav
 
 
 def describe_missing(manifest: Manifest, name: str) -> str | None:
-    """Return why a dataset cannot be loaded here, or ``None`` if it can. Renders nothing."""
+    """Return why a dataset is not ready here, or ``None`` if it is. Renders nothing."""
     entry = entry_of(manifest, name)
-    if entry.kind == "city":
-        return None
     try:
+        if entry.kind == "city":
+            cache = store.cache_folder(manifest.path.parent)
+            for traversal, described in entry.traversals.items():
+                if not is_rendered(described.render or {}, cache, f"{name}/{traversal}"):
+                    return f"{name}: not rendered yet (make data)"
         load(manifest, name)
     except (DatasetError, ManifestError) as error:
         return str(error)

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from typing import Any
-
-from torch import nn
+from typing import TYPE_CHECKING, Any
 
 from artifact.manifest import ManifestError, MethodEntry
+
+if TYPE_CHECKING:
+    from torch import nn
 
 # Where each model is built. Raise a revision when the descriptors of that model change: it is part of the
 # descriptors' content key. Modules are imported only when a model is built.
@@ -109,21 +110,17 @@ def _function(path: str) -> Callable[..., Any]:
 
 
 def _as_module(model: Any) -> nn.Module:
+    from torch import nn
+
     if isinstance(model, nn.Module):
         return model.eval()
-    if callable(model):
-        return _Function(model)
-    raise ManifestError(
-        f"a builder must return an nn.Module or a function, it returned {type(model).__name__}"
-    )
+    if not callable(model):
+        raise ManifestError(f"a builder must return an nn.Module or a function, it returned {type(model).__name__}")
 
+    class Function(nn.Module):
+        """A plain function from images to descriptors as a model."""
 
-class _Function(nn.Module):
-    """A plain function from images to descriptors as a model."""
+        def forward(self, images: Any) -> Any:
+            return model(images)
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__()
-        self.function = function
-
-    def forward(self, images: Any) -> Any:
-        return self.function(images)
+    return Function().eval()

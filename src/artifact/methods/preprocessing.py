@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import torch
 from PIL import Image
@@ -12,32 +10,6 @@ from torch.nn import functional
 from artifact.manifest import Preprocessing
 
 _PILLOW_FILTERS = {"bilinear": Image.Resampling.BILINEAR, "bicubic": Image.Resampling.BICUBIC}
-
-
-class UnreadableImageError(OSError):
-    """An image file that cannot be decoded; the message names it."""
-
-
-def read_image(path: Path, colour: str = "rgb") -> Image.Image:
-    """Decode an image file wholly.
-
-    Parameters
-    ----------
-    path
-        Any format that Pillow reads. EXIF rotation is not applied, as in the evaluation code of the methods.
-    colour
-        ``"rgb"`` or ``"grey"`` (ITU-R 601 luma).
-
-    Raises
-    ------
-    UnreadableImageError
-        If the file is missing, not an image, truncated or otherwise damaged.
-    """
-    try:
-        with Image.open(path) as image:
-            return image.convert("RGB" if colour == "rgb" else "L")
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise UnreadableImageError(f"{path}: {error}") from None
 
 
 def prepare(image: Image.Image, preprocessing: Preprocessing) -> torch.Tensor:

@@ -1,0 +1,150 @@
+"""``artifact bench``: the ranking pass against a bare matrix product, extraction against the model alone."""
+
+from __future__ import annotations
+
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+from tqdm import tqdm
+
+from artifact import methods
+from artifact.datasets import Traversal
+from artifact.extract import describe
+from artifact.lowrank import LowRankMap
+from artifact.manifest import Manifest
+from artifact.metrics import evaluate
+
+N_QUERIES, N_DATABASE = 6000, 7500
+_BLOCK = 1024
+
+
+def run(manifest: Manifest) -> Iterator[str]:
+    """Yield the measured lines, one experiment at a time."""
+    yield from ranking_lines(N_QUERIES, N_DATABASE, 4096)
+    yield from view_lines(N_QUERIES // 2, N_DATABASE // 2, 8448, 20)
+    yield from extraction_lines(manifest)
+
+
+def best_of(function: Callable[[], object], repeats: int = 3) -> float:
+    """Return the shortest of several wall times in seconds."""
+    times = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - begun)
+    return min(times)
+
+
+def synthetic(n_queries: int, n_database: int, dimension: int, seed: int = 0) -> tuple[np.ndarray, ...]:
+    """Return unit descriptors and positions of a drive of about a metre a frame, with some condition in them.
+
+    Queries share a direction, so that part of the distractors beat the positives, as real distractors do.
+    """
+    rng = np.random.default_rng(seed)
+
+    def unit(x: np.ndarray) -> np.ndarray:
+        return (x / np.linalg.norm(x, axis=1, keepdims=True)).astype(np.float32)
+
+    database = unit(rng.standard_normal((n_database, dimension), dtype=np.float32))
+    along_queries, along_database = np.arange(n_queries) * 1.0, np.linspace(0, n_queries, n_database)
+    nearest = np.searchsorted(along_database, along_queries).clip(max=n_database - 1)
+    noise = unit(rng.standard_normal((n_queries, dimension), dtype=np.float32))
+    condition = unit(rng.standard_normal((1, dimension), dtype=np.float32))
+    strength = rng.uniform(0.05, 0.5, (n_queries, 1)).astype(np.float32)
+    queries = unit(noise + 0.08 * database[nearest] + strength * condition)
+    places = [np.column_stack([along, np.zeros_like(along)]) for along in (along_queries, along_database)]
+    return queries, database, *places
+
+
+def bare_product(queries: np.ndarray, database: np.ndarray) -> None:
+    """Multiply the queries with the database and with themselves, in blocks, and keep nothing."""
+    out = np.empty((_BLOCK, max(len(queries), len(database))), np.float32)
+    for right in (database, queries):
+        for start in range(0, len(queries), _BLOCK):
+            block = queries[start : start + _BLOCK]
+            np.matmul(block, right.T, out=out[: len(block), : len(right)])
+
+
+def ranking_lines(n_queries: int, n_database: int, dimension: int) -> Iterator[str]:
+    """Time :func:`artifact.evaluate` on the CPU against the bare product over the same pairs."""
+    queries, database, where, database_where = synthetic(n_queries, n_database, dimension)
+    evaluate(
+        queries[:64], database[:64], where[:64], database_where[:64], 25.0, device="cpu"
+    )  # compiles the kernels
+    before = _peak_mebibytes()
+    bare = best_of(lambda: bare_product(queries, database))
+    results = []
+    pass_seconds = best_of(
+        lambda: results.append(evaluate(queries, database, where, database_where, 25.0, device="cpu"))
+    )
+    extra = _peak_mebibytes() - before
+    yield (
+        f"ranking {n_queries} queries, {n_database} database images, d = {dimension}: {pass_seconds:.2f} s, bare product "
+        f"{bare:.2f} s, ratio {pass_seconds / bare:.2f}; extra memory {extra:.0f} MiB; "
+        f"R@1 {results[0].recall():.3f}, DAR@1 {results[0].dar():.3f}, "
+        f"{results[0].distractor_counts.beaters.mean():.0f} distractors above the best positive on average"
+    )
+
+
+def view_lines(n_queries: int, n_database: int, dimension: int, n_views: int) -> Iterator[str]:
+    """Time a pass with low-rank views against the pass without."""
+    queries, database, where, database_where = synthetic(n_queries, n_database, dimension)
+    basis = np.linalg.qr(np.random.default_rng(1).standard_normal((dimension, 35)))[0]
+    views = {}
+    for number in range(n_views):
+        k = 1 + number * 34 // max(1, n_views - 1)
+        views[str(k)] = LowRankMap(basis[:, :k], basis[:, :k], np.zeros(k))
+    args = (queries, database, where, database_where, 25.0)
+    single = best_of(lambda: evaluate(*args, device="cpu"))
+    several = best_of(lambda: evaluate(*args, device="cpu", views=views))
+    yield (
+        f"views: {n_views} INLP views of {n_queries} queries, {n_database} database images, d = {dimension}: {several:.2f} s, "
+        f"without views {single:.2f} s, ratio {several / single:.2f}"
+    )
+
+
+def extraction_lines(
+    manifest: Manifest, method: str = "efficientnet_lite0", n_images: int = 256
+) -> Iterator[str]:
+    """Time extraction from JPEG files against the model's own forward rate on the same batches."""
+    entry = manifest.method(method)
+    with tempfile.TemporaryDirectory() as name:
+        traversal = _noise_traversal(Path(name), n_images)
+        model = methods.model_of(method, entry)
+        size = entry.preprocessing.size or [480, 640]
+        batch = torch.randn(entry.batch_size, 3, *size)
+        with torch.inference_mode():
+            model(batch)
+            alone = best_of(lambda: model(batch)) / entry.batch_size
+        model_rate = 1 / alone
+        with tqdm(disable=True) as bar:
+            begun = time.perf_counter()
+            rows = sum(
+                len(values) for _, values in describe(traversal, model, entry, torch.device("cpu"), None, bar)
+            )
+            rate = rows / (time.perf_counter() - begun)
+    yield (
+        f"extraction of {n_images} images with {entry.title}: {rate:.1f} images/s, the model alone {model_rate:.1f} images/s, "
+        f"{100 * rate / model_rate:.0f} %"
+    )
+
+
+def _noise_traversal(folder: Path, n: int) -> Traversal:
+    rng = np.random.default_rng(0)
+    names = tuple(f"{index:04d}.jpg" for index in range(n))
+    for name in names:
+        picture = np.kron(rng.integers(0, 256, (30, 40, 3)), np.ones((16, 16, 1))).astype(np.uint8)
+        Image.fromarray(picture).save(folder / name, quality=90)
+    return Traversal("bench", "noise", "none", names, np.arange(n, dtype=np.float64)[:, None], "none", folder)
+
+
+def _peak_mebibytes() -> float:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 2**20 if sys.platform == "darwin" else peak / 2**10

@@ -1,0 +1,149 @@
+"""The ranking pass on other devices than the CPU: the same five operations and the same counting, in PyTorch."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from artifact.counting import Counts
+
+_CONVERTED = 32 * 2**20  # bytes of descriptors that are sent to the device at a time if they do not stay there
+
+
+class TorchEngine:
+    """Everything in PyTorch on one device; descriptors that fit stay there for the whole pass."""
+
+    def __init__(self, device: torch.device) -> None:
+        self._device = device
+        self._resident: dict[int, torch.Tensor] = {}
+        self._precision = torch.get_float32_matmul_precision()
+
+    def __enter__(self) -> TorchEngine:
+        # TF32 keeps ten bits of the mantissa and would decide near-ties at random.
+        torch.set_float32_matmul_precision("highest")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        torch.set_float32_matmul_precision(self._precision)
+        self._resident.clear()
+
+    def product(self, left: np.ndarray, rows: slice, right: np.ndarray, columns: slice) -> torch.Tensor:
+        """Return ``left[rows] @ right[columns].T`` as float32."""
+        block, n = self._load(left, rows), len(range(*columns.indices(len(right))))
+        step = max(1, _CONVERTED // (4 * right.shape[1])) if id(right) not in self._resident else n
+        first = columns.indices(len(right))[0]
+        parts = [
+            block @ self._load(right, slice(first + start, first + min(start + step, n))).T
+            for start in range(0, n, step)
+        ]
+        return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
+
+    def correction(self, left: np.ndarray, right: np.ndarray) -> torch.Tensor:
+        """Return what a view subtracts from a tile, ``left @ right.T``; zero if the view changes nothing."""
+        if left.shape[1] == 0:
+            return torch.zeros((), device=self._device)
+        return torch.from_numpy(left).to(self._device) @ torch.from_numpy(right).to(self._device).T
+
+    def transposed(self, tile: torch.Tensor) -> torch.Tensor:
+        """Return the transposed tile."""
+        return tile.T if tile.ndim else tile
+
+    def count_database(
+        self, tile, correction, scale, bias, starts, positives, offset, counts: Counts
+    ) -> None:
+        """See :func:`database_rows`."""
+        scale, bias = self._send(scale), self._send(bias)
+        database_rows(tile - correction, scale, bias, starts, positives, offset, counts)
+
+    def count_pool(
+        self, tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, orders,
+        counts: Counts,
+    ) -> None:  # fmt: skip
+        """See :func:`pool_rows`."""
+        pool_rows(
+            tile - correction, self._send(scale), self._send(bias), offset, first_column, self._send(positions),
+            self._send(pool_positions), threshold, self._send(orders), counts,
+        )  # fmt: skip
+
+    def _send(self, array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(array).to(self._device)
+
+    def _load(self, array: np.ndarray, rows: slice) -> torch.Tensor:
+        if id(array) not in self._resident and self._fits(array):
+            self._resident[id(array)] = self._send(np.ascontiguousarray(array)).float()
+        if id(array) in self._resident:
+            return self._resident[id(array)][rows]
+        return self._send(np.ascontiguousarray(array[rows])).float()
+
+    def _fits(self, array: np.ndarray) -> bool:
+        if self._device.type != "cuda":
+            return False
+        free, _ = torch.cuda.mem_get_info(self._device)
+        return array.size * 4 < free // 3
+
+
+# -- counting ---------------------------------------------------------------------------------------------------
+
+
+def database_rows(tile, scale, bias, starts, positives, offset, counts: Counts) -> None:
+    """Do as :func:`artifact.counting.database_rows`, with tensors on any device. ``tile`` is already corrected."""
+    rows = slice(offset, offset + tile.shape[0])
+    similarity = tile * scale + bias
+    entries = positives[starts[offset] : starts[offset + tile.shape[0]]]
+    lengths = np.diff(starts[offset : offset + tile.shape[0] + 1])
+    owner = torch.from_numpy(np.repeat(np.arange(tile.shape[0]), lengths)).to(tile.device)
+    values = similarity[owner, torch.from_numpy(entries).to(tile.device)]
+    level = torch.full((tile.shape[0],), -torch.inf, device=tile.device).scatter_reduce_(
+        0, owner, values, "amax"
+    )
+    equal = (similarity == level[:, None]).sum(1)
+    equal -= torch.zeros_like(equal).scatter_add_(0, owner, (values == level[owner]).to(equal.dtype))
+    counts.best[rows] = level.cpu().numpy()
+    counts.beaters[rows] = (similarity > level[:, None]).sum(1).cpu().numpy()
+    counts.ties[rows] = equal.cpu().numpy()
+    _merge_top(counts, rows, similarity, 0)
+
+
+def pool_rows(
+    tile, scale, bias, offset, first_column, positions, pool_positions, threshold, orders, counts: Counts
+) -> None:  # fmt: skip
+    """Do as :func:`artifact.counting.pool_rows`, with tensors on any device. ``tile`` is already corrected."""
+    rows = slice(offset, offset + tile.shape[0])
+    columns = slice(first_column, first_column + tile.shape[1])
+    similarity = tile * scale + bias
+    level = torch.from_numpy(counts.best[rows]).to(tile.device)[:, None]
+    squared = torch.zeros(tile.shape, dtype=torch.float64, device=tile.device)
+    for axis in range(positions.shape[1]):
+        difference = positions[rows, axis, None] - pool_positions[None, columns, axis]
+        squared += difference * difference
+    distance = squared.sqrt_()
+    allowed = distance > threshold
+    beats = allowed & (similarity > level)
+    counts.beaters[rows] += beats.sum(1).cpu().numpy()
+    counts.ties[rows] += (allowed & (similarity == level)).sum(1).cpu().numpy()
+    depth = min(counts.farthest.shape[1], tile.shape[1])
+    found = distance.masked_fill_(~beats, -torch.inf).topk(depth, dim=1).values.cpu().numpy()
+    merged = np.concatenate([counts.farthest[rows], found], axis=1)
+    counts.farthest[rows] = -np.sort(-merged, axis=1)[:, : counts.farthest.shape[1]]
+    for draw in range(counts.first.shape[2]):
+        places = orders[columns, draw].expand_as(tile).masked_fill(~beats, np.iinfo(np.int32).max)
+        found = places.topk(depth, dim=1, largest=False).values.cpu().numpy()
+        merged = np.concatenate([counts.first[rows, :, draw], found], axis=1)
+        counts.first[rows, :, draw] = np.sort(merged, axis=1)[:, : counts.first.shape[1]]
+    _merge_top(counts, rows, similarity.masked_fill(~allowed, -torch.inf), first_column)
+
+
+def _merge_top(counts: Counts, rows: slice, similarity: torch.Tensor, first_column: int) -> None:
+    """Merge the most similar columns of a tile into the running list; earlier columns win ties."""
+    top = counts.top_similarity.shape[1]
+    if not top:
+        return
+    values, columns = torch.sort(similarity, dim=1, descending=True, stable=True)
+    values, columns = values[:, :top].cpu().numpy(), columns[:, :top].cpu().numpy() + first_column
+    values = np.concatenate([counts.top_similarity[rows], values], axis=1)
+    columns = np.concatenate([counts.top_index[rows], columns], axis=1)
+    order = np.argsort(-values, axis=1, kind="stable")[:, :top]
+    counts.top_similarity[rows] = np.take_along_axis(values, order, axis=1)
+    counts.top_index[rows] = np.where(
+        np.isneginf(counts.top_similarity[rows]), -1, np.take_along_axis(columns, order, axis=1)
+    )

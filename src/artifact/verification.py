@@ -1,0 +1,72 @@
+"""``artifact verify``: stored results against their sidecars, measurements against the paper."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from artifact import datasets, paper, store, studies
+from artifact.datasets import shipped
+from artifact.manifest import Manifest
+
+
+def verify(manifest: Manifest, profile: str) -> tuple[list[str], int]:
+    """Check what is stored, and compare what the profile measures with what the paper reports.
+
+    Parameters
+    ----------
+    manifest, profile
+        The profile's datasets and methods are compared where the paper has them; missing datasets are named.
+
+    Returns
+    -------
+    lines
+        What was checked, for the user.
+    faults
+        Number of damaged files and of measurements more than 1 percentage point from the paper's.
+    """
+    lines, damaged = _verify_files(store.cache_folder(manifest.path.parent))
+    more, shipped_damaged = _verify_files(shipped.folder())
+    compared, different = _compare(manifest, profile)
+    return [*lines, *more, *compared], damaged + shipped_damaged + different
+
+
+def _verify_files(folder: Path) -> tuple[list[str], int]:
+    """Recompute the digest of every stored array that has a sidecar."""
+    checked, faults = 0, []
+    for sidecar_path in sorted(folder.rglob("*.json")):
+        arrays = [path for ending in (".npy", ".npz") if (path := sidecar_path.with_suffix(ending)).exists()]
+        sidecar = store.read_json(sidecar_path) if arrays else {}
+        for path in arrays:
+            checked += 1
+            if store.digest_of_file(path) != sidecar.get("sha256"):
+                faults.append(
+                    f"DAMAGED {path}: its content differs from its sidecar; delete both and run again"
+                )
+    return [f"{folder}: {checked} stored results, {len(faults)} damaged", *faults], len(faults)
+
+
+def _compare(manifest: Manifest, profile: str) -> tuple[list[str], int]:
+    entry = manifest.profile(profile)
+    reported = {name: e for name in entry.datasets if (e := datasets.entry_of(manifest, name)).reported_as}
+    methods = [name for name in entry.methods if name in paper.method_titles()]
+    if not reported or not methods:
+        what = "dataset" if not reported else "method"
+        return [f"profile {profile!r} has no {what} of the paper: nothing to compare with its numbers"], 0
+    lines, different = [], 0
+    for name in reported:
+        missing = datasets.describe_missing(manifest, name)
+        if missing:
+            lines.append(f"MISSING   {name}: {missing.splitlines()[0]}")
+            continue
+        for row in studies.recall_table(manifest, [name], methods).table.to_dict("records"):
+            for metric in studies.METRICS:
+                value = row[f"reported_{metric}"]
+                judged = paper.verdict(row[metric], value, None if metric == "RSR" else row["queries"])
+                different += judged == "different"
+                shown = "–" if pd.isna(value) else f"{value:.2f}"
+                lines.append(
+                    f"{judged.upper():<9} {name} {row['method']} {metric}@1: {row[metric]:.2f} %, paper {shown} %"
+                )
+    return lines, different

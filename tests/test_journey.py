@@ -1,0 +1,264 @@
+"""A user's journey on a tiny project: run, run again, change one thing, break one thing, read the book.
+
+The project has the repository's own notebooks and book, a manifest of two small drives with further conditions, and
+two baselines. Everything goes through the command line, as the Makefile calls it.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+
+import nbformat
+import numpy as np
+import pytest
+from conftest import REPOSITORY, tiny_manifest, write_images, write_manifest
+
+DRIVE = {
+    "title": "Drive", "kind": "folder", "threshold": {"value": 25, "unit": "metres"}, "query": "day", "database": "night",
+    "shift": "day→night", "distractor_traversals": ["dusk", "night_2"], "same_condition_traversal": "dusk",
+    "traversals": {
+        "day": {"condition": "day"}, "night": {"condition": "night"}, "dusk": {"condition": "dusk"}, "night_2": {"condition": "night"},
+    },
+}  # fmt: skip
+STREET = {
+    "title": "Street", "kind": "folder", "threshold": {"value": 1, "unit": "frames"}, "query": "day", "database": "night",
+    "traversals": {"day": {"condition": "day"}, "night": {"condition": "night"}},
+}  # fmt: skip
+
+
+def artifact(project, *arguments):
+    """Run the command line in the project; returns status and output."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("ARTIFACT_")}
+    command = [sys.executable, "-m", "artifact", *arguments]
+    done = subprocess.run(
+        command, cwd=project, env=environment, capture_output=True, text=True, check=False, timeout=600
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    """A project folder in which `reproduce` has run once; with what it printed."""
+    project = tmp_path_factory.mktemp("tiny")
+    for part in ("notebooks", "book"):
+        shutil.copytree(REPOSITORY / part, project / part, ignore=shutil.ignore_patterns("_build", "executed", "__pycache__"))
+    for name, brightness in (("day", 0), ("night", -70), ("dusk", -20), ("night_2", -71)):
+        folder = project / "data" / "drive" / name
+        write_images(folder, 40, seed=4, brightness=brightness, noise=25)
+        rows = [f"frame{i}.png,{12.0 * i + abs(brightness) / 20:.1f},0" for i in range(40)]
+        (folder / "positions.csv").write_text("\n".join(["image,x,y", *rows]) + "\n")
+    for name, brightness in (("day", 0), ("night", -60)):
+        write_images(project / "data" / "street" / name, 30, seed=6, brightness=brightness, noise=25)
+    write_manifest(project, tiny_manifest(drive=DRIVE, street=STREET))
+    status, output = artifact(project, "reproduce", "--jobs", "2")
+    assert status == 0, output
+    return project, output
+
+
+def executed(project):
+    return {path.stem: nbformat.read(path, as_version=4) for path in (project / "book" / "executed").glob("*.ipynb")}
+
+
+def counts(output):
+    found = re.search(r"notebooks: (\d+) run, (\d+) unchanged", output)
+    return int(found[1]), int(found[2])
+
+
+def test_every_notebook_ran_and_every_page_is_there(tiny):
+    project, output = tiny
+    names = {path.stem for path in (project / "notebooks").glob("*.py")}
+    assert counts(output) == (len(names), 0)
+    assert set(executed(project)) == names
+    html = project / "book" / "_build" / "html"
+    assert (html / "index.html").exists()
+    for name in [*names, "status"]:
+        assert (html / "executed" / f"{name}.html").exists(), name
+
+
+def test_executed_notebooks_have_outputs_no_warnings_and_no_paths(tiny):
+    project, _ = tiny
+    for name, notebook in executed(project).items():
+        outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+        assert outputs, name
+        assert not [o.text for o in outputs if o.output_type == "stream"], name
+        assert str(project) not in nbformat.writes(notebook), name
+
+
+def test_pages_show_what_the_library_measures(tiny):
+    """The number in the page is the number of `evaluate` on the same descriptors."""
+    project, _ = tiny
+    status, output = artifact(project, "evaluate", "--datasets", "drive", "--methods", "hog")
+    assert status == 0
+    recall, dar = re.search(r"Drive\s+hog\s+([\d.]+)\s+([\d.]+)", output).groups()
+    text = nbformat.writes(executed(project)["tab03"])
+    assert 0 < float(dar) < float(recall) <= 100
+    for value in (float(recall), float(dar)):
+        assert f"{value:.2f}" in text
+
+
+def test_a_second_run_reuses_everything(tiny):
+    project, output = tiny
+    total = sum(counts(output))
+    before = {path: path.read_bytes() for path in (project / "book" / "executed").glob("*.ipynb")}
+    status, output = artifact(project, "run")
+    assert (status, *counts(output)) == (0, 0, total)
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_a_changed_parameter_reruns_only_its_notebook(tiny):
+    project, output = tiny
+    total = sum(counts(output))
+    status, output = artifact(project, "run", "-p", "fig06.seed=3")
+    assert (status, *counts(output)) == (0, 1, total - 1)
+    assert "'seed'" in nbformat.writes(executed(project)["fig06"]) or "seed = 3" in nbformat.writes(executed(project)["fig06"])
+    status, output = artifact(project, "run")
+    assert (status, *counts(output)) == (0, 0, total)
+
+
+def test_changed_data_reruns_the_notebooks_that_use_it(tiny):
+    project, output = tiny
+    total = sum(counts(output))
+    path = project / "data" / "street" / "day" / "frame3.png"
+    kept = path.read_bytes()
+    path.write_bytes((project / "data" / "street" / "day" / "frame9.png").read_bytes())
+    try:
+        status, output = artifact(project, "run")
+        ran, reused = counts(output)
+        assert status == 0
+        assert 0 < ran < total
+        assert reused > 0
+    finally:
+        path.write_bytes(kept)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "message"),
+    [
+        ("tab03.kk=5", "notebooks/tab03.py: unknown parameter 'kk'"),
+        ("k=0", "k is 0; allowed: whole numbers from 1"),
+        ("fig06.dataset=street2", "dataset is 'street2'; allowed: 'drive', 'street'"),
+        ("tab99.k=5", "no notebook 'tab99'"),
+        ("colour=5", "no notebook has a parameter 'colour'"),
+    ],
+)
+def test_bad_parameters_stop_before_anything_runs(tiny, parameter, message):
+    project, _ = tiny
+    before = sorted((project / ".cache" / "notebooks").iterdir())
+    status, output = artifact(project, "run", "-p", parameter)
+    assert status == 1
+    assert message in output
+    assert "Traceback" not in output
+    assert sorted((project / ".cache" / "notebooks").iterdir()) == before
+
+
+def test_a_failing_notebook_fails_the_run_and_is_named(tiny):
+    project, _ = tiny
+    path = project / "notebooks" / "fig05.py"
+    kept = path.read_text()
+    path.write_text(kept + "\n\n# %%\nraise RuntimeError('the sky fell')\n")
+    try:
+        status, output = artifact(project, "run")
+        assert status == 1
+        assert re.search(r"error: notebooks/fig05.py: cell \d+: RuntimeError: the sky fell", output)
+        assert not (project / "book" / "executed" / "fig05.ipynb").exists()
+        status, output = artifact(project, "book")
+        assert status == 1
+        assert "pages are missing, first" in output
+        assert "executed/fig05" in output
+    finally:
+        path.write_text(kept)
+    status, output = artifact(project, "run")
+    assert status == 0
+    assert counts(output)[0] == 0, "nothing of the failure was stored"
+
+
+def test_the_book_is_built_from_executed_notebooks_without_running_any(tiny):
+    project, _ = tiny
+    status, output = artifact(project, "book")
+    assert status == 0, output
+    cache = project / ".cache"
+    cache.rename(project / "away")
+    try:
+        status, output = artifact(project, "book")
+        assert (status, "unchanged" in output) == (0, True), output
+        (project / "book" / "new.md").write_text((project / "book" / "new.md").read_text() + "\nOne more line.\n")
+        status, output = artifact(project, "book")
+        assert (status, "built in" in output) == (0, True), output
+    finally:
+        shutil.rmtree(cache, ignore_errors=True)
+        (project / "away").rename(cache)
+
+
+def test_a_fault_in_a_page_fails_the_strict_build(tiny):
+    project, _ = tiny
+    page = project / "book" / "new.md"
+    kept = page.read_text()
+    page.write_text(kept + "\nSee [nowhere](executed/nowhere.ipynb) and {cite:p}`nobody2020`.\n")
+    try:
+        status, output = artifact(project, "book")
+        assert status == 1
+        assert "nowhere.ipynb" in output
+        assert "nobody2020" in output
+    finally:
+        page.write_text(kept)
+
+
+def test_a_folder_of_ones_own_is_one_parameter_away(tiny, tmp_path):
+    project, _ = tiny
+    own = tmp_path / "my places"
+    for part, brightness in (("queries", 0), ("database", -50)):
+        write_images(own / part, 25, seed=9, brightness=brightness)
+    status, output = artifact(project, "run", "--only", "tab01", "tab03", "-p", f"datasets=['{own}']")
+    assert status == 0, output
+    text = nbformat.writes(executed(project)["tab03"])
+    assert "my places" in text
+    status, output = artifact(project, "run", "--only", "tab03", "-p", f"datasets=['{tmp_path}']")
+    assert status == 1
+    assert "expected one folder named queries or query, found 0" in output
+
+
+def test_commands_for_the_shell(tiny):
+    project, _ = tiny
+    for command in ("reproduce", "data", "extract", "evaluate", "verify", "bench", "status", "run", "book"):
+        status, output = artifact(project, command, "--help")
+        assert status == 0
+        assert "usage: artifact" in output
+    status, output = artifact(project, "status")
+    assert status == 0
+    assert "drive/day: 40 images, descriptors: thumbnail, hog" in output
+    status, output = artifact(project, "data")
+    assert status == 0
+    assert "street/night: 30 images" in output
+    status, output = artifact(project, "verify")
+    assert status == 0
+    assert ", 0 damaged" in output
+    assert "nothing to compare with its numbers" in output
+
+
+def test_verify_finds_a_damaged_result(tiny):
+    project, _ = tiny
+    path = next((project / ".cache" / "descriptors" / "hog").glob("*.npy"))
+    kept = path.read_bytes()
+    array = np.load(path)
+    array[0, 0] += 1
+    np.save(path, array)
+    try:
+        status, output = artifact(project, "verify")
+        assert status == 1
+        assert f"DAMAGED {path}" in output
+    finally:
+        path.write_bytes(kept)
+
+
+def test_missing_data_is_an_error_that_says_what_to_do(tiny, tmp_path):
+    project, _ = tiny
+    content = tiny_manifest(avenue=DRIVE | {"obtain": "Ask the author."})
+    write_manifest(tmp_path, content)
+    shutil.copytree(project / "notebooks", tmp_path / "notebooks")
+    status, output = artifact(tmp_path, "run")
+    assert status == 1
+    assert "error: avenue: no folder" in output
+    assert "Ask the author." in output
+    assert "Traceback" not in output

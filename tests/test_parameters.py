@@ -1,0 +1,123 @@
+"""Unknown or invalid parameters are errors before anything runs."""
+
+import pytest
+from conftest import REPOSITORY
+
+from artifact import manifest, parameters
+from artifact.cli import asked_parameters
+from artifact.parameters import ParameterError
+
+NOTEBOOK = """
+# %% tags=["parameters"]
+profile = "demo"
+dataset = None
+methods = None
+k = 1
+seed = 0
+ratios = [0, 0.5, 1]
+distances = [25, 50]
+title = "plain"
+scale = 1.0
+
+# %%
+print(k)
+"""
+
+
+@pytest.fixture
+def notebook(project):
+    (project / "notebooks").mkdir()
+    path = project / "notebooks" / "tab99.py"
+    path.write_text(NOTEBOOK)
+    return path
+
+
+@pytest.fixture
+def loaded(project):
+    return manifest.load(project / "data_manifest.yaml")
+
+
+def test_defaults_are_read_from_the_tagged_cell(notebook):
+    assert parameters.read(notebook) == {
+        "profile": "demo", "dataset": None, "methods": None, "k": 1, "seed": 0, "ratios": [0, 0.5, 1], "distances": [25, 50],
+        "title": "plain", "scale": 1.0,
+    }  # fmt: skip
+
+
+def test_asked_values_replace_defaults(notebook, loaded):
+    merged = parameters.merged(notebook, {"k": 5, "dataset": "street", "methods": ["hog"], "scale": 2}, loaded)
+    assert (merged["k"], merged["dataset"], merged["methods"], merged["scale"], merged["seed"]) == (5, "street", ["hog"], 2, 0)
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"kk": 5}, "unknown parameter 'kk'; allowed: profile, dataset, methods, k"),
+        ({"k": 0}, "k is 0; allowed: whole numbers from 1"),
+        ({"k": 1.5}, "k is 1.5; allowed: whole numbers from 1"),
+        ({"k": True}, "k is True; allowed: whole numbers from 1"),
+        ({"seed": -1}, "seed is -1; allowed: whole numbers from 0"),
+        ({"profile": "full"}, "profile is 'full'; allowed: 'demo'"),
+        ({"dataset": "avenue"}, "dataset is 'avenue'; allowed: 'street', or the path of a folder"),
+        ({"dataset": ["street"]}, "allowed: 'street', or the path of a folder"),
+        ({"methods": ["hog", "vlad"]}, "'vlad': allowed: 'thumbnail', 'hog'"),
+        ({"methods": []}, "allowed: a list of names, or None"),
+        ({"methods": "hog"}, "allowed: a list of names, or None"),
+        ({"ratios": [0, 2]}, "allowed: a list of numbers from 0 to 1"),
+        ({"ratios": []}, "allowed: a list of numbers from 0 to 1"),
+        ({"distances": ["far"]}, "allowed: a list of numbers from 0 to inf"),
+        ({"title": 3}, "allowed: a value of type str, as the default 'plain'"),
+        ({"scale": "wide"}, "allowed: a value of type float"),
+    ],
+)
+def test_bad_values_name_notebook_parameter_and_what_is_allowed(notebook, loaded, asked, message):
+    with pytest.raises(ParameterError) as caught:
+        parameters.merged(notebook, asked, loaded)
+    assert str(caught.value).startswith("notebooks/tab99.py: ")
+    assert message in str(caught.value)
+
+
+def test_all_faults_are_listed(notebook, loaded):
+    with pytest.raises(ParameterError) as caught:
+        parameters.merged(notebook, {"k": 0, "seed": -1, "colour": 2}, loaded)
+    assert len(str(caught.value).splitlines()) == 3
+
+
+def test_a_folder_may_be_a_dataset(notebook, loaded, project):
+    with pytest.raises(ParameterError, match="expected one folder named queries or query, found 0"):
+        parameters.merged(notebook, {"dataset": str(project)}, loaded)
+
+
+@pytest.mark.parametrize(
+    ("cell", "message"),
+    [
+        ("k = 1 + n", "the default of 'k' is not a literal"),
+        ("import os", "line 1 of the parameters cell is not 'name = literal'"),
+        ("a = b = 1", "is not 'name = literal'"),
+        ("k: int = 1", "is not 'name = literal'"),
+    ],
+)
+def test_parameter_cells_hold_plain_assignments(notebook, cell, message):
+    notebook.write_text(f'# %% tags=["parameters"]\n{cell}\n')
+    with pytest.raises(ParameterError, match=message):
+        parameters.read(notebook)
+    notebook.write_text("# %%\nk = 1\n")
+    with pytest.raises(ParameterError, match="0 cells are tagged 'parameters'; allowed: exactly one"):
+        parameters.read(notebook)
+
+
+def test_command_line_values_are_yaml():
+    assert asked_parameters(["k=5", "fig06.ratios=[0, .5]", "tab03.datasets=[a,b]", "dataset=null"]) == {
+        "*": {"k": 5, "dataset": None}, "fig06": {"ratios": [0, 0.5]}, "tab03": {"datasets": ["a", "b"]},
+    }  # fmt: skip
+    for text in ("k", "=3", ".k=3", "fig06.=3", "k=[1"):
+        with pytest.raises(ParameterError):
+            asked_parameters([text])
+
+
+def test_every_notebook_of_the_book_has_good_parameters():
+    loaded = manifest.load(REPOSITORY / "data_manifest.yaml")
+    notebooks = sorted((REPOSITORY / "notebooks").glob("*.py"))
+    assert len(notebooks) >= 9
+    for path in notebooks:
+        assert parameters.merged(path, {}, loaded) == parameters.read(path)
