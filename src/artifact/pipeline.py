@@ -7,18 +7,17 @@ stored ranking when every input is the same.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from artifact import datasets, extract, ranking, store
-from artifact.counting import Counts
-from artifact.datasets import Dataset, Traversal
+from artifact.archive import stored
+from artifact.datasets import Dataset
 from artifact.extract import Descriptors
 from artifact.manifest import Manifest
-from artifact.metrics import QUERY_POOL, Evaluation, evaluate
-from artifact.ranking import Ranking
+from artifact.metrics import Evaluation, evaluate
 
 
 @dataclass(frozen=True)
@@ -41,6 +40,68 @@ class Measured:
     dataset: Dataset
     method: str
     inputs: tuple[dict[str, Any], ...]
+
+
+@dataclass(frozen=True)
+class Described:
+    """A dataset with the descriptors of its traversals by one method.
+
+    Attributes
+    ----------
+    dataset, method
+        The loaded dataset, and the name of the method.
+    descriptors
+        By traversal.
+    """
+
+    dataset: Dataset
+    method: str
+    descriptors: dict[str, Descriptors]
+
+    @property
+    def query(self) -> Descriptors:
+        """Descriptors of the query traversal."""
+        return self.descriptors[self.dataset.query_name]
+
+    @property
+    def database(self) -> Descriptors:
+        """Descriptors of the database traversal."""
+        return self.descriptors[self.dataset.database_name]
+
+    @property
+    def inputs(self) -> tuple[dict[str, Any], ...]:
+        """One record per traversal, for provenance."""
+        return tuple(
+            {
+                "dataset": traversal.dataset,
+                "traversal": name,
+                "method": self.method,
+                "images": len(traversal),
+                "descriptors": self.descriptors[name].key[:12],
+                "source": self.descriptors[name].source,
+            }
+            for name, traversal in self.dataset.traversals.items()
+        )
+
+    def key_inputs(self) -> dict[str, Any]:
+        """Return what a content key of anything made from these descriptors must hold."""
+        return {
+            "descriptors": {name: found.sha256 for name, found in self.descriptors.items()},
+            "positions": {name: traversal.positions for name, traversal in self.dataset.traversals.items()},
+            "pair": [self.dataset.query_name, self.dataset.database_name, self.dataset.threshold],
+        }
+
+
+def describe(
+    manifest: Manifest, dataset: str, method: str, traversals: Iterable[str] = (), *, device: Any = None
+) -> Described:  # fmt: skip
+    """Load a dataset, with further traversals, and get the descriptors of each."""
+    loaded = datasets.load(manifest, dataset, traversals)
+    found = {
+        name: extract.descriptors(manifest, traversal, method, device=device)
+        for name, traversal in loaded.traversals.items()
+    }
+    return Described(loaded, method, found)
 
 
 def evaluation(
@@ -74,37 +135,27 @@ def evaluation(
         As in :func:`artifact.evaluate`.
     """
     names = list(distractors)
-    loaded = datasets.load(manifest, dataset, names)
-    described = {
-        name: extract.descriptors(manifest, traversal, method, device=device)
-        for name, traversal in loaded.traversals.items()
-    }
-    query, database = described[loaded.query_name], described[loaded.database_name]
-    pools = {name: _pool(loaded, name, described[name], pool_size, seed) for name in names}
+    described = describe(manifest, dataset, method, names, device=device)
+    loaded = described.dataset
     options = {"retrieve": retrieve, "seed": seed, "similarity": similarity}
     key = store.key(
-        stage="ranking", revision=ranking.REVISION, query=query.sha256, database=database.sha256,
-        query_positions=loaded.query.positions, database_positions=loaded.database.positions,
-        threshold=loaded.threshold, options=options,
-        pools={name: [described[name].sha256, positions] for name, (_, positions) in pools.items()},
+        stage="ranking", revision=ranking.REVISION, inputs=described.key_inputs(), options=options,
+        pools=names, pool_size=pool_size,
     )  # fmt: skip
-    path = store.cache_folder(manifest.path.parent) / "rankings" / f"{key[:24]}.npz"
-    with store.lock(path):
-        stored = store.load_arrays(path, key)
-        if stored is None:
-            result = evaluate(
-                query.values, database.values, loaded.query.positions, loaded.database.positions, loaded.threshold,
-                {name: values for name, (values, _) in pools.items()} or None,
-                {name: positions for name, (_, positions) in pools.items()} or None,
-                device=device, **options,
-            )  # fmt: skip
-            store.save_arrays(
-                path, _packed(result), {"key": key, "dataset": dataset, "method": method, **options}
-            )
-        else:
-            result = _unpacked(stored)
-    inputs = tuple(_record(loaded.traversals[name], method, found) for name, found in described.items())
-    return Measured(result, loaded, method, inputs)
+
+    def compute() -> dict[str, Evaluation]:
+        pools = {name: _pool(loaded, name, described.descriptors[name], pool_size, seed) for name in names}
+        result = evaluate(
+            described.query.values, described.database.values, loaded.query.positions, loaded.database.positions,
+            loaded.threshold,
+            {name: values for name, (values, _) in pools.items()} or None,
+            {name: positions for name, (_, positions) in pools.items()} or None,
+            device=device, **options,
+        )  # fmt: skip
+        return {"evaluation": result}
+
+    result = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "ranking"})
+    return Measured(result["evaluation"], loaded, method, described.inputs)
 
 
 def _pool(
@@ -124,70 +175,3 @@ def _pool(
         chosen = np.sort(np.random.default_rng(seed).choice(len(positions), size, replace=False))
         values, positions = values[chosen], positions[chosen]
     return values, positions
-
-
-def _record(traversal: Traversal, method: str, found: Descriptors) -> dict[str, Any]:
-    return {
-        "dataset": traversal.dataset,
-        "traversal": traversal.name,
-        "method": method,
-        "images": len(traversal),
-        "descriptors": found.key[:12],
-        "source": found.source,
-    }
-
-
-# -- an evaluation as plain arrays ----------------------------------------------------------------------------
-
-
-def _packed(result: Evaluation) -> dict[str, np.ndarray]:
-    """Flatten an evaluation into named arrays."""
-    ranks = result.ranking
-    arrays: dict[str, np.ndarray] = {
-        "evaluated": ranks.evaluated,
-        "numbers": np.array([ranks.n_listed, ranks.n_database]),
-        "threshold": np.array(result.threshold),
-        "query_positions": result.query_positions,
-        "database_positions": result.database_positions,
-        "views": np.array(list(ranks.database)),
-        "pools": np.array(list(ranks.pool_sizes)),
-        "pool_sizes": np.array(list(ranks.pool_sizes.values())),
-    }
-    for number, name in enumerate(ranks.pool_sizes):
-        arrays[f"pool_positions/{number}"] = result.pool_positions[name]
-    for view_number, view in enumerate(ranks.database):
-        named = {f"database/{view_number}": ranks.database[view]}
-        for number, pool in enumerate(ranks.pool_sizes):
-            named[f"pool/{view_number}/{number}"] = ranks.pools[view, pool]
-        for prefix, counts in named.items():
-            arrays |= {f"{prefix}/{field.name}": getattr(counts, field.name) for field in fields(Counts)}
-    return arrays
-
-
-def _unpacked(arrays: dict[str, np.ndarray]) -> Evaluation:
-    """Rebuild an evaluation from :func:`_packed`."""
-
-    def counts(prefix: str) -> Counts:
-        return Counts(**{field.name: arrays[f"{prefix}/{field.name}"] for field in fields(Counts)})
-
-    views, pools = arrays["views"].tolist(), arrays["pools"].tolist()
-    ranks = Ranking(
-        evaluated=arrays["evaluated"],
-        n_listed=int(arrays["numbers"][0]),
-        n_database=int(arrays["numbers"][1]),
-        pool_sizes=dict(zip(pools, arrays["pool_sizes"].tolist(), strict=True)),
-        database={view: counts(f"database/{v}") for v, view in enumerate(views)},
-        pools={
-            (view, pool): counts(f"pool/{v}/{p}")
-            for v, view in enumerate(views)
-            for p, pool in enumerate(pools)
-        },
-    )
-    return Evaluation(
-        ranking=ranks,
-        query_positions=arrays["query_positions"],
-        database_positions=arrays["database_positions"],
-        pool_positions={pool: arrays[f"pool_positions/{p}"] for p, pool in enumerate(pools)},
-        threshold=float(arrays["threshold"]),
-        pool_name=pools[0] if pools else QUERY_POOL,
-    )

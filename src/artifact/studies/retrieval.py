@@ -1,13 +1,8 @@
-"""One function per table and figure: inputs named by the manifest, outputs as tidy frames.
-
-Shares are in percent here, as the paper prints them. Every row says what it is from, and every study returns the
-record of its inputs.
-"""
+"""Tables I to III and Figs. 5 to 7: datasets, methods, recall with and without distractors."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,39 +11,9 @@ import pandas as pd
 from artifact import datasets as data
 from artifact import extract, paper, pipeline
 from artifact.manifest import Manifest, Preprocessing
-from artifact.pipeline import Measured
 from artifact.ranking import positives_of
 from artifact.statistics import Interval, intervals
-
-PERCENT = 100.0
-METRICS = ("R", "DAR", "RSR")
-
-
-@dataclass(frozen=True)
-class Study:
-    """A result with its provenance.
-
-    Attributes
-    ----------
-    table
-        Tidy frame.
-    inputs
-        One record per traversal and method used: number of images, descriptor key and source.
-    """
-
-    table: pd.DataFrame
-    inputs: tuple[dict[str, Any], ...]
-
-
-def origin(measured: Measured) -> str:
-    """Say in words what a measurement is from: ``rendered images``, ``images`` or ``shipped descriptors``."""
-    if not measured.dataset.real:
-        return "rendered images"
-    return (
-        "real images"
-        if all(i["source"] == "images" for i in measured.inputs)
-        else "real images, shipped descriptors"
-    )
+from artifact.studies.common import METRICS, PERCENT, Study, is_reported, origin
 
 
 def datasets_table(manifest: Manifest, names: Iterable[str]) -> Study:
@@ -233,7 +198,7 @@ def distractor_number(
         percent), ``draw_low`` and ``draw_high`` (lowest and highest of the nested random draws), ``reported``.
     """
     curves = (
-        _reported_curves("fig06_number", "ratio") if _is_reported(manifest, dataset, "robotcar", k) else {}
+        _reported_curves("fig06_number", "ratio") if is_reported(manifest, dataset, "robotcar", k) else {}
     )
     rows, inputs = [], []
     for method in methods:
@@ -274,7 +239,7 @@ def distractor_distance(
         ``DAR`` in percent, ``reported``.
     """
     curves = {}
-    if _is_reported(manifest, dataset, "robotcar", k):
+    if is_reported(manifest, dataset, "robotcar", k):
         curves = _reported_curves("fig06_distance", "minimum_distance_metres")
     rows, inputs = [], []
     for method in methods:
@@ -318,7 +283,7 @@ def distractor_condition(
         ]
     )
     curves = {}
-    if _is_reported(manifest, dataset, "robotcar", k):
+    if is_reported(manifest, dataset, "robotcar", k):
         curves = _reported_curves("fig07", "distractor_condition")
     rows, inputs = [], []
     for method in methods:
@@ -342,11 +307,6 @@ def distractor_condition(
             )
         inputs += measured.inputs
     return Study(pd.DataFrame(rows), tuple(inputs))
-
-
-def _is_reported(manifest: Manifest, dataset: str, name: str, k: int) -> bool:
-    """Whether the paper plots this dataset; it does so for K = 1 only."""
-    return k == 1 and data.entry_of(manifest, dataset).reported_as == name
 
 
 def _reported_curves(table: str, x: str) -> dict[tuple[str, Any], float]:
