@@ -92,7 +92,13 @@ class PaperCounts(_Strict):
 
 
 class DatasetEntry(_Strict):
-    """A query traversal, a database traversal and the threshold between them."""
+    """A query traversal, a database traversal and the threshold between them.
+
+    ``distractor_traversals`` offer pools of further conditions (paper Fig. 7). ``same_condition_traversal`` has the
+    query's kind of condition; some of its frames join the database in the maps (Figs. 2 and 9).
+    ``irrelevant_pairs`` are query–database pairs of conditions that no transform is fitted on (Table V).
+    ``reported_as`` is the paper's name of the dataset, where its numbers can be compared.
+    """
 
     title: str
     kind: Literal["folder", "gardens_point", "city"]
@@ -105,6 +111,7 @@ class DatasetEntry(_Strict):
     mirrors: str | None = None
     distractor_traversals: list[Name] = []
     same_condition_traversal: Name | None = None
+    irrelevant_pairs: list[Annotated[list[Name], Field(min_length=2, max_length=2)]] = []
     sources: list[Source] = []
     licence: str = "not stated"
     obtain: str = ""
@@ -118,6 +125,7 @@ class DatasetEntry(_Strict):
         named["same_condition_traversal"] = (
             [self.same_condition_traversal] if self.same_condition_traversal else []
         )
+        named["irrelevant_pairs"] = [name for pair in self.irrelevant_pairs for name in pair]
         for key, names in named.items():
             for name in names:
                 if name not in self.traversals:

@@ -16,6 +16,16 @@ from artifact.studies.retrieval import (
     with_means,
 )
 
+from artifact.studies.suppression import (
+    fitting_fraction,
+    improved,
+    irrelevant_conditions,
+    mean_by_fraction,
+    single_against_multi,
+    summary,
+    suppression_table,
+)
+
 __all__ = [
     "METRICS",
     "PERCENT",

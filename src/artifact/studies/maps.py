@@ -1,0 +1,205 @@
+"""Figs. 1 to 3 and 9: mixed databases on the map, embeddings before and after, and what a distractor is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from artifact import datasets as data
+from artifact import store, suppressed
+from artifact.archive import stored
+from artifact.lowrank import LowRankMap
+from artifact.manifest import Manifest, ManifestError
+from artifact.metrics import Evaluation, evaluate
+from artifact.pipeline import Described, describe
+from artifact.ranking import ORIGINAL
+from artifact.suppression import INLP
+
+MIXED_SHARE = 0.05
+"""Share of the frames of a traversal with the query's kind of condition that joins the database (paper Figs. 2, 9)."""
+
+
+@dataclass(frozen=True)
+class MixedDatabase:
+    """Top-1 retrieval from a mixed-condition database.
+
+    Attributes
+    ----------
+    described
+        The dataset's descriptors, the added traversal among them.
+    added
+        Indices of the frames of the added traversal that joined the database.
+    evaluations
+        By what was evaluated: ``single`` and ``mixed`` for Fig. 2, ``original`` and ``INLP`` for Fig. 9.
+    queries, database
+        Indices of the queries and of the database images that took part.
+    fitted_queries
+        Indices of the queries of the fitting region; empty without one.
+    """
+
+    described: Described
+    added: np.ndarray
+    evaluations: dict[str, Evaluation]
+    queries: np.ndarray
+    database: np.ndarray
+    fitted_queries: np.ndarray
+
+
+def mixed_database(
+    manifest: Manifest, dataset: str, method: str, *, share: float = MIXED_SHARE, seed: int = 0
+) -> MixedDatabase:  # fmt: skip
+    """Fig. 2: R@1 with the database of the other condition alone, and with a few frames of the query's kind added."""
+    described, added = _with_added(manifest, dataset, method, share, seed)
+    loaded = described.dataset
+    everything = np.arange(len(loaded.query)), np.arange(len(loaded.database))
+    key = _key("mixed", described, [share, seed])
+
+    def compute() -> dict[str, Any]:
+        alone = _retrieve(described, *everything, added[:0])
+        return {"single": alone, "mixed": _retrieve(described, *everything, added)}
+
+    found = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "mixed database"})
+    return MixedDatabase(described, added, found, *everything, np.zeros(0, int))
+
+
+def mixed_database_suppressed(
+    manifest: Manifest,
+    dataset: str,
+    method: str,
+    *,
+    share: float = MIXED_SHARE,
+    fraction: float = 0.1,
+    iterations: int = 35,
+    seed: int = 0,
+) -> MixedDatabase:
+    """Fig. 9: the mixed database before and after INLP, fitted on a slice from the edge of the map."""
+    described, added = _with_added(manifest, dataset, method, share, seed)
+    region = suppressed.split_of(described, fraction, where="edge")
+    places = described.dataset.traversals[_same_condition(manifest, dataset)].positions[added]
+    fitted = described.dataset.query.positions[region.fit_queries]
+    apart = np.linalg.norm(places[:, None] - fitted[None], axis=2).min(axis=1) > described.dataset.threshold
+    rows = region.evaluation_queries, region.evaluation_database
+    key = _key("mixed suppressed", described, [share, fraction, iterations, seed])
+
+    def compute() -> dict[str, Any]:
+        inlp = INLP(iterations, seed=seed).fit(*suppressed.fitting_data(described, region))
+        return {"views": _retrieve(described, *rows, added[apart], {"INLP": LowRankMap(*inlp.low_rank())})}
+
+    found = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "mixed database"})["views"]
+    return MixedDatabase(described, added[apart], {n: found[n] for n in (ORIGINAL, "INLP")}, *rows, region.fit_queries)
+
+
+def _same_condition(manifest: Manifest, dataset: str) -> str:
+    entry = data.entry_of(manifest, dataset)
+    if entry.same_condition_traversal is None:
+        raise ManifestError(
+            f"dataset {dataset!r} names no same_condition_traversal in the manifest: a traversal with the query's kind of "
+            f"condition, some of whose frames join the database"
+        )
+    return entry.same_condition_traversal
+
+
+def _with_added(
+    manifest: Manifest, dataset: str, method: str, share: float, seed: int
+) -> tuple[Described, np.ndarray]:  # fmt: skip
+    name = _same_condition(manifest, dataset)
+    described = describe(manifest, dataset, method, [name])
+    n = len(described.dataset.traversals[name])
+    chosen = np.random.default_rng(seed).choice(n, max(1, round(share * n)), replace=False)
+    return described, np.sort(chosen)
+
+
+def _retrieve(
+    described: Described, queries: np.ndarray, database: np.ndarray, added: np.ndarray, views: Any = None
+) -> Evaluation:  # fmt: skip
+    """Evaluate against the database with the added frames; any database image within the threshold is right."""
+    loaded = described.dataset
+    extra = next(name for name in loaded.traversals if name not in (loaded.query_name, loaded.database_name))
+    descriptors = [described.database.values[database], described.descriptors[extra].values[added]]
+    positions = [loaded.database.positions[database], loaded.traversals[extra].positions[added]]
+    return evaluate(
+        described.query.values[queries], np.concatenate(descriptors), loaded.query.positions[queries],
+        np.concatenate(positions), loaded.threshold, views=views, retrieve=1,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Embedding:
+    """Two-dimensional embeddings of query and database descriptors, before and after suppression.
+
+    Attributes
+    ----------
+    before, after
+        ``(n, 2)`` coordinates, queries first.
+    n_queries
+        How many of the rows are queries.
+    partners
+        ``(m, 2)`` rows of geometrical mutual nearest neighbours: query row, database row.
+    described
+        What was embedded.
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+    n_queries: int
+    partners: np.ndarray
+    described: Described
+
+
+def embedding(
+    manifest: Manifest, dataset: str, method: str, *, fraction: float = 0.1, iterations: int = 35, seed: int = 0
+) -> Embedding:
+    """Fig. 3: UMAP of the evaluation region's descriptors before and after INLP."""
+    described = describe(manifest, dataset, method)
+    region = suppressed.split_of(described, fraction)
+    loaded = described.dataset
+    places = loaded.query.positions[region.evaluation_queries], loaded.database.positions[region.evaluation_database]
+    key = _key("umap", described, [fraction, iterations, seed])
+
+    def compute() -> dict[str, Any]:
+        inlp = INLP(iterations, seed=seed).fit(*suppressed.fitting_data(described, region))
+        queries = described.query.values[region.evaluation_queries]
+        database = described.database.values[region.evaluation_database]
+        rows = np.concatenate([queries, database])
+        return {"before": _umap(rows, seed), "after": _umap(inlp.transform(rows), seed)}
+
+    found = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "umap"})
+    partners = mutual_neighbours(*places)
+    partners[:, 1] += len(region.evaluation_queries)
+    return Embedding(found["before"], found["after"], len(region.evaluation_queries), partners, described)
+
+
+def mutual_neighbours(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the pairs of rows that are each other's nearest neighbour, ``(m, 2)``.
+
+    Examples
+    --------
+    >>> mutual_neighbours(np.array([[0.0], [5.0]]), np.array([[1.0], [9.0]])).tolist()
+    [[0, 0], [1, 1]]
+    """
+    from scipy.spatial import cKDTree
+
+    there = cKDTree(second).query(first)[1]
+    back = cKDTree(first).query(second)[1]
+    rows = np.arange(len(first))
+    mutual = back[there] == rows
+    return np.column_stack([rows[mutual], there[mutual]])
+
+
+def _umap(rows: np.ndarray, seed: int) -> np.ndarray:
+    import umap
+
+    neighbours = min(15, len(rows) - 1)
+    # A fixed seed makes UMAP run in one thread; asking for one thread says so without a warning.
+    model = umap.UMAP(metric="cosine", n_neighbors=neighbours, random_state=seed, n_jobs=1)
+    return model.fit_transform(rows.astype(np.float32))
+
+
+def _key(stage: str, described: Described, settings: list[Any]) -> str:
+    from artifact import ranking, suppression
+
+    return store.key(
+        stage=stage, revisions=[ranking.REVISION, suppression.REVISION], inputs=described.key_inputs(), settings=settings
+    )
