@@ -1,0 +1,54 @@
+"""Compilation of the renderer's inner loops."""
+
+import contextlib
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+from numba import njit
+
+# Reassociation and reciprocals are allowed, the absence of NaN and infinity is not assumed.
+_FAST = {"contract", "arcp", "nsz", "afn", "reassoc"}
+_checked: set[str] = set()
+
+
+def kernel(function: Callable) -> Callable:
+    """
+    Compile a numerical function without the interpreter lock, and keep the machine code on disk.
+
+    The compiler's disk cache notices a change of the function's own file only, not of the files it calls.
+    Cached code is therefore dropped whenever any source file of this package has changed.
+
+    Parameters
+    ----------
+    function : callable
+        Plain numerical Python on scalars, arrays and named tuples of them.
+
+    Returns
+    -------
+    callable
+        The compiled function; compiled at its first call.
+    """
+    options = {"nogil": True, "error_model": "numpy", "fastmath": _FAST}
+    try:
+        compiled = njit(cache=True, **options)(function)
+    except RuntimeError:  # no folder on this machine can hold the cache
+        return njit(**options)(function)
+    _drop_stale(compiled.stats.cache_path)
+    return compiled
+
+
+def _drop_stale(folder: str) -> None:
+    if folder in _checked:
+        return
+    _checked.add(folder)
+    digest = hashlib.sha256()
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    stamp = Path(folder) / "city-sources.sha256"
+    with contextlib.suppress(OSError):
+        if stamp.exists() and stamp.read_text() == digest.hexdigest():
+            return
+        for index in Path(folder).glob("*.nbi"):
+            index.unlink(missing_ok=True)
+        stamp.write_text(digest.hexdigest())
