@@ -26,7 +26,7 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import figures, findings, paper, report, studies
+from artifact import figures, findings, report, studies
 from artifact.notebook import open_page
 
 page = open_page(profile, datasets, methods)
@@ -47,6 +47,4 @@ figures.reported_scatter()
 
 # %% tags=["remove-input"]
 display(report.download(study.table, "fig05_scatter"))
-report.provenance(
-    {"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study
-)
+report.provenance({"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study)

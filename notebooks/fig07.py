@@ -49,6 +49,4 @@ figures.reported_condition()
 
 # %% tags=["remove-input"]
 display(report.download(study.table, "fig07_condition"))
-report.provenance(
-    {"profile": profile, "dataset": chosen, "methods": page.methods, "k": k, "seed": seed}, study
-)
+report.provenance({"profile": profile, "dataset": chosen, "methods": page.methods, "k": k, "seed": seed}, study)

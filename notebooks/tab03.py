@@ -65,6 +65,4 @@ report.reported_recall_table()
 
 # %% tags=["remove-input"]
 display(report.download(study.table, "tab03_recall"))
-report.provenance(
-    {"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study
-)
+report.provenance({"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study)

@@ -80,7 +80,9 @@ def real_data_root():
 
 
 def pytest_collection_modifyitems(items):
-    skip = pytest.mark.skip(reason="needs the Gardens Point images: set ARTIFACT_DATA_ROOT to the folder that holds gardens_point/")
+    skip = pytest.mark.skip(
+        reason="needs the Gardens Point images: set ARTIFACT_DATA_ROOT to the folder that holds gardens_point/"
+    )
     for item in items:
         if "data" in item.keywords and real_data_root() is None:
             item.add_marker(skip)

@@ -154,7 +154,9 @@ def test_tensor_resize_with_antialias_is_close_to_pillows(interpolation):
     """Pillow rounds to 8 bits after each axis, so the two differ by about a grey level, not more."""
     image = picture(120, 160)
     rules = [
-        Preprocessing(resize="fixed", size=[30, 44], library=library, interpolation=interpolation, mean=[0.0] * 3, std=[1.0] * 3)
+        Preprocessing(
+            resize="fixed", size=[30, 44], library=library, interpolation=interpolation, mean=[0.0] * 3, std=[1.0] * 3
+        )
         for library in ("pillow", "tensor")
     ]
     difference = (prepare(image, rules[0]) - prepare(image, rules[1])).abs()

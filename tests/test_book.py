@@ -5,7 +5,6 @@ import shutil
 import pytest
 import yaml
 from conftest import REPOSITORY
-
 from test_journey import tiny  # noqa: F401  (the tiny project of the journey, built once)
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -20,7 +19,13 @@ def browser():
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        options = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
+        options = [
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+        ]
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=options)
         yield chromium
         chromium.close()
@@ -58,7 +63,9 @@ def test_every_page_loads_quietly_and_offline(browser, pages, scheme):
         assert outside == [], name
         if name not in ("genindex", "search"):
             assert page.locator("h1").count() >= 1, name
-        broken = page.evaluate("[...document.images].filter(i => !i.complete || !i.naturalWidth).map(i => i.src.slice(0, 80))")
+        broken = page.evaluate(
+            "[...document.images].filter(i => !i.complete || !i.naturalWidth).map(i => i.src.slice(0, 80))"
+        )
         assert broken == [], name
         page.context.close()
 
@@ -74,7 +81,16 @@ def test_the_first_page_opens_from_the_index(browser, pages):
 
 @pytest.mark.parametrize(
     ("name", "tables", "images"),
-    [("tab01", 2, 0), ("tab02", 2, 0), ("tab03", 3, 0), ("fig04", 0, 1), ("fig05", 0, 2), ("fig06", 0, 2), ("fig07", 0, 2), ("protocol", 2, 0)],
+    [
+        ("tab01", 2, 0),
+        ("tab02", 2, 0),
+        ("tab03", 3, 0),
+        ("fig04", 0, 1),
+        ("fig05", 0, 2),
+        ("fig06", 0, 2),
+        ("fig07", 0, 2),
+        ("protocol", 2, 0),
+    ],
 )
 def test_result_pages_hold_their_tables_and_figures(browser, pages, name, tables, images):
     html, _ = pages

@@ -46,7 +46,9 @@ def test_positions_in_metres_follow_the_images_not_the_rows(with_csv):
 
 
 def test_three_axes_and_a_byte_order_mark(with_csv):
-    loaded = datasets.load(with_csv(["frame0.png,0,0,1", "frame1.png,1,0,2", "frame2.png,2,0,3"], "\ufeffImage, X,y,z"), "street")
+    loaded = datasets.load(
+        with_csv(["frame0.png,0,0,1", "frame1.png,1,0,2", "frame2.png,2,0,3"], "\ufeffImage, X,y,z"), "street"
+    )
     np.testing.assert_array_equal(loaded.query.positions[:, 2], [1, 2, 3])
 
 
@@ -73,7 +75,9 @@ def test_utm_names_and_an_at_sign_in_a_parent_folder(tmp_path):
         write_images(root / part, 3, seed=1)
         for index, path in enumerate(sorted((root / part).glob("*.png"))):
             path.rename(root / part / f"@{500000 + 10 * index + shift:.2f}@{4000000:.2f}@30@U@.png")
-    loaded = datasets.load(manifest.load(write_manifest(root.parents[1], tiny_manifest(street=street(METRES)))), "street")
+    loaded = datasets.load(
+        manifest.load(write_manifest(root.parents[1], tiny_manifest(street=street(METRES)))), "street"
+    )
     np.testing.assert_array_equal(loaded.query.positions, [[500000, 4e6], [500010, 4e6], [500020, 4e6]])
     (root / "day" / "plain.png").write_bytes((root / "day" / loaded.query.image_names[0]).read_bytes())
     with pytest.raises(DatasetError, match=r"plain.png: the name does not begin with @utm_east@utm_north@"):
@@ -109,12 +113,20 @@ def test_the_papers_counts_are_asserted(project):
 
 
 def test_missing_folders_say_how_to_obtain_the_dataset(tmp_path):
-    entry = street(METRES) | {"sources": [{"url": "https://example.org/a.zip", "note": "(200 MB)"}], "obtain": "Unpack it."}
+    entry = street(METRES) | {
+        "sources": [{"url": "https://example.org/a.zip", "note": "(200 MB)"}],
+        "obtain": "Unpack it.",
+    }
     loaded = manifest.load(write_manifest(tmp_path, tiny_manifest(street=entry)))
     with pytest.raises(DatasetError) as caught:
         datasets.load(loaded, "street")
     text = str(caught.value)
-    for part in (str(tmp_path / "data" / "street" / "day"), "ARTIFACT_DATA_ROOT", "https://example.org/a.zip (200 MB)", "Unpack it."):
+    for part in (
+        str(tmp_path / "data" / "street" / "day"),
+        "ARTIFACT_DATA_ROOT",
+        "https://example.org/a.zip (200 MB)",
+        "Unpack it.",
+    ):
         assert part in text
 
 
@@ -157,7 +169,9 @@ def test_a_folder_may_describe_itself(project):
     loaded = manifest.load(project / "data_manifest.yaml")
     assert datasets.load(loaded, str(own)).threshold == 2
     (own / "dataset.yaml").write_text((own / "dataset.yaml").read_text().replace("unit: frames", "unit: steps"))
-    with pytest.raises(ManifestError, match=r"dataset.yaml:3: threshold.unit: found 'steps'; allowed: 'metres', 'frames' or 'pairs'"):
+    with pytest.raises(
+        ManifestError, match=r"dataset.yaml:3: threshold.unit: found 'steps'; allowed: 'metres', 'frames' or 'pairs'"
+    ):
         datasets.load(loaded, str(own))
 
 

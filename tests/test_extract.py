@@ -30,7 +30,9 @@ def direct(traversal, entry, name):
     from artifact.methods.preprocessing import prepare
 
     model = methods.build(name)
-    images = [prepare(read_image(path, entry.preprocessing.colour), entry.preprocessing) for path in traversal.image_paths()]
+    images = [
+        prepare(read_image(path, entry.preprocessing.colour), entry.preprocessing) for path in traversal.image_paths()
+    ]
     with torch.inference_mode():
         return torch.cat([model(image[None]) for image in images]).numpy()
 
@@ -61,7 +63,10 @@ def test_a_stored_result_is_used_only_while_its_key_is_equal(project, monkeypatc
     (project / "data" / "street" / "day" / "frame3.png").write_bytes(
         (project / "data" / "street" / "day" / "frame4.png").read_bytes()
     )
-    assert extract.descriptor_key(datasets.load_traversal(loaded, "street", "day"), "hog", loaded.method("hog")) != first.key
+    assert (
+        extract.descriptor_key(datasets.load_traversal(loaded, "street", "day"), "hog", loaded.method("hog"))
+        != first.key
+    )
 
 
 @WORKERS
@@ -77,7 +82,9 @@ def test_all_broken_images_are_named_before_anything_is_complete(project, worker
     assert "3 of 12 images cannot be read" in text
     for name in ("frame1.png", "frame7.png", "frame11.png"):
         assert str(folder / name) in text
-    path = extract.stored_path(loaded, "thumbnail", extract.descriptor_key(traversal, "thumbnail", loaded.method("thumbnail")))
+    path = extract.stored_path(
+        loaded, "thumbnail", extract.descriptor_key(traversal, "thumbnail", loaded.method("thumbnail"))
+    )
     assert not path.exists()
     assert not path.with_suffix(".json").exists()
 
@@ -225,7 +232,11 @@ def outside():
 
 @pytest.mark.parametrize(
     ("builder", "message"),
-    [("no.such.module:f", "cannot be imported"), (f"{__name__}:missing", "cannot be imported"), (f"{__name__}:number", "must return an nn.Module or a function")],
+    [
+        ("no.such.module:f", "cannot be imported"),
+        (f"{__name__}:missing", "cannot be imported"),
+        (f"{__name__}:number", "must return an nn.Module or a function"),
+    ],
 )
 def test_builders_that_do_not_work_are_named(project, builder, message):
     content = tiny_manifest()
@@ -243,5 +254,7 @@ def test_an_unknown_method_without_a_builder_is_named(project):
     content = tiny_manifest()
     content["methods"]["own"] = HOG
     loaded = manifest.load(write_manifest(project, content))
-    with pytest.raises(manifest.ManifestError, match=r"methods.own: this version has no model of that name; .* 'builder"):
+    with pytest.raises(
+        manifest.ManifestError, match=r"methods.own: this version has no model of that name; .* 'builder"
+    ):
         extract.descriptors(loaded, datasets.load_traversal(loaded, "street", "day"), "own", workers=0)

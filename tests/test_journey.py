@@ -43,7 +43,9 @@ def tiny(tmp_path_factory):
     """A project folder in which `reproduce` has run once; with what it printed."""
     project = tmp_path_factory.mktemp("tiny")
     for part in ("notebooks", "book"):
-        shutil.copytree(REPOSITORY / part, project / part, ignore=shutil.ignore_patterns("_build", "executed", "__pycache__"))
+        shutil.copytree(
+            REPOSITORY / part, project / part, ignore=shutil.ignore_patterns("_build", "executed", "__pycache__")
+        )
     for name, brightness in (("day", 0), ("night", -70), ("dusk", -20), ("night_2", -71)):
         folder = project / "data" / "drive" / name
         write_images(folder, 40, seed=4, brightness=brightness, noise=25)
@@ -112,7 +114,9 @@ def test_a_changed_parameter_reruns_only_its_notebook(tiny):
     total = sum(counts(output))
     status, output = artifact(project, "run", "-p", "fig06.seed=3")
     assert (status, *counts(output)) == (0, 1, total - 1)
-    assert "'seed'" in nbformat.writes(executed(project)["fig06"]) or "seed = 3" in nbformat.writes(executed(project)["fig06"])
+    assert "'seed'" in nbformat.writes(executed(project)["fig06"]) or "seed = 3" in nbformat.writes(
+        executed(project)["fig06"]
+    )
     status, output = artifact(project, "run")
     assert (status, *counts(output)) == (0, 0, total)
 

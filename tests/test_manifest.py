@@ -121,7 +121,9 @@ def test_the_shipped_manifest_is_the_papers():
             row["title"], row["backbone"], row["aggregation"], row["dimension"], row["train_data"], "paper",
         )  # fmt: skip
         assert (f"top {entry.rerank}" if entry.rerank else "–") == row["rerank"]
-    entries = {entry.reported_as: entry for name in loaded.profile("paper").datasets for entry in [loaded.dataset(name)]}
+    entries = {
+        entry.reported_as: entry for name in loaded.profile("paper").datasets for entry in [loaded.dataset(name)]
+    }
     for row in paper.reported("tab01").to_dict("records"):
         entry = entries[row["dataset"]]
         assert (entry.title, str(entry.threshold), entry.shift) == (row["title"], row["threshold"], row["shift"])

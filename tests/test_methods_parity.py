@@ -65,9 +65,7 @@ METHODS = {
 }
 EVERY_METHOD = pytest.mark.parametrize("name", METHODS)
 # SALAD-CM is SALAD with other weights: there is nothing more to run.
-RUN = [
-    pytest.param(n, marks=pytest.mark.slow) if m.slow else n for n, m in METHODS.items() if n != "salad_cm"
-]
+RUN = [pytest.param(n, marks=pytest.mark.slow) if m.slow else n for n, m in METHODS.items() if n != "salad_cm"]
 
 
 def golden(name: str) -> dict[str, np.ndarray]:
@@ -92,9 +90,7 @@ def unused_by_anyloc(key: str) -> bool:
     """Weights of ViT-g behind the value projection of its 32nd block, and the mask token."""
     index = int(key.split(".")[1]) if key.startswith("blocks.") else None
     behind = re.match(r"blocks\.31\.(attn\.proj|ls1|norm2|mlp|ls2)\.", key)
-    return (
-        key == "mask_token" or key.startswith("norm.") or bool(behind) or (index is not None and index > 31)
-    )
+    return key == "mask_token" or key.startswith("norm.") or bool(behind) or (index is not None and index > 31)
 
 
 @dataclass(frozen=True)
@@ -444,9 +440,7 @@ def plan_by_scaling(scores: np.ndarray, iterations: int) -> np.ndarray:
 
 
 @REPEATABLE
-@given(
-    clusters=st.integers(1, 6), more=st.integers(1, 9), iterations=st.integers(1, 4), seed=st.integers(0, 99)
-)
+@given(clusters=st.integers(1, 6), more=st.integers(1, 9), iterations=st.integers(1, 4), seed=st.integers(0, 99))
 def test_transport_is_sinkhorn_scaling_with_a_dustbin(clusters, more, iterations, seed):
     scores = 2 * normal(seed, 2, clusters, clusters + more)
     found = assign_by_transport(scores, torch.tensor(0.7, dtype=torch.float64), iterations)
@@ -518,13 +512,9 @@ def test_match_count_takes_maps_and_scores_a_single_match_as_none():
 
 def test_encoder_layer_equals_pytorchs():
     for activation in ("relu", "gelu"):
-        reference = nn.TransformerEncoderLayer(
-            24, 3, 40, dropout=0.0, activation=activation, batch_first=True
-        )
+        reference = nn.TransformerEncoderLayer(24, 3, 40, dropout=0.0, activation=activation, batch_first=True)
         layer = EncoderLayer(24, 3, 40, getattr(functional, activation))
-        state = {
-            key: normal(i, *v.shape).float() / 3 for i, (key, v) in enumerate(reference.state_dict().items())
-        }
+        state = {key: normal(i, *v.shape).float() / 3 for i, (key, v) in enumerate(reference.state_dict().items())}
         reference.load_state_dict(state)
         layer.load_state_dict(state)
         x = normal(99, 2, 7, 24).float()

@@ -6,7 +6,19 @@ import pytest
 
 from artifact import paper
 
-METHODS = ["anyloc", "boq", "cosplace", "cricavpr", "eigenplaces", "megaloc", "mixvpr", "salad", "salad_cm", "selavpr", "selavprpp"]
+METHODS = [
+    "anyloc",
+    "boq",
+    "cosplace",
+    "cricavpr",
+    "eigenplaces",
+    "megaloc",
+    "mixvpr",
+    "salad",
+    "salad_cm",
+    "selavpr",
+    "selavprpp",
+]
 DATASETS = list(paper.EVALUATED_QUERIES)
 
 
@@ -39,8 +51,12 @@ def test_every_cell_is_there(table, scatter):
 
 def test_table_cells_are_the_rounded_scatter_points(table, scatter):
     for key, row in scatter.iterrows():
-        assert table.loc[key, "R@1"] == pytest.approx(row.recall_percent, abs=0.0501 if row.recall_percent >= 10 else 0.0051)
-        assert table.loc[key, "DAR@1"] == pytest.approx(row.dar_percent, abs=0.0501 if row.dar_percent >= 10 else 0.0051)
+        assert table.loc[key, "R@1"] == pytest.approx(
+            row.recall_percent, abs=0.0501 if row.recall_percent >= 10 else 0.0051
+        )
+        assert table.loc[key, "DAR@1"] == pytest.approx(
+            row.dar_percent, abs=0.0501 if row.dar_percent >= 10 else 0.0051
+        )
 
 
 def test_rsr_is_dar_over_recall(table, scatter):
@@ -87,7 +103,11 @@ def test_marks_follow_the_scatter(scatter):
             column = cells[(cells.dataset == dataset) & (cells.metric == metric)].set_index("method")
             levels = sorted(values.unique(), reverse=True)
             for mark, level in (("best", levels[0]), ("second", levels[1]), ("worst", levels[-1])):
-                assert set(column.index[column["mark"] == mark]) == set(values.index[values == level]), (dataset, metric, mark)
+                assert set(column.index[column["mark"] == mark]) == set(values.index[values == level]), (
+                    dataset,
+                    metric,
+                    mark,
+                )
 
 
 def test_percentages_are_whole_numbers_of_queries(scatter):
@@ -110,7 +130,9 @@ def test_percentages_are_whole_numbers_of_queries(scatter):
 def test_curves_end_at_the_table_cells(scatter):
     robotcar = scatter.xs("robotcar", level="dataset")
     number = paper.reported("fig06_number").pivot(index="method", columns="ratio", values="dar_percent")
-    distance = paper.reported("fig06_distance").pivot(index="method", columns="minimum_distance_metres", values="dar_percent")
+    distance = paper.reported("fig06_distance").pivot(
+        index="method", columns="minimum_distance_metres", values="dar_percent"
+    )
     condition = paper.reported("fig07").pivot(index="method", columns="distractor_condition", values="dar_percent")
     for method in METHODS:
         dar, recall = robotcar.loc[method, "dar_percent"], robotcar.loc[method, "recall_percent"]

@@ -46,7 +46,13 @@ def test_defaults_are_read_from_the_tagged_cell(notebook):
 
 def test_asked_values_replace_defaults(notebook, loaded):
     merged = parameters.merged(notebook, {"k": 5, "dataset": "street", "methods": ["hog"], "scale": 2}, loaded)
-    assert (merged["k"], merged["dataset"], merged["methods"], merged["scale"], merged["seed"]) == (5, "street", ["hog"], 2, 0)
+    assert (merged["k"], merged["dataset"], merged["methods"], merged["scale"], merged["seed"]) == (
+        5,
+        "street",
+        ["hog"],
+        2,
+        0,
+    )
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,9 @@ def test_leace_equals_the_reference_package_on_its_defaults(n, d, conditions):
     X, condition = labelled(n, d, conditions, shift=1.5)
     eraser = LeaceFitter.fit(torch.from_numpy(X), torch.from_numpy(one_hot(condition))).eraser
     expected = eraser(torch.from_numpy(X)).numpy()
-    np.testing.assert_allclose(LEACE(shrinkage=True).fit(X, condition).transform(X), expected, atol=1e-8 * np.abs(X).max())
+    np.testing.assert_allclose(
+        LEACE(shrinkage=True).fit(X, condition).transform(X), expected, atol=1e-8 * np.abs(X).max()
+    )
 
 
 @pytest.mark.parametrize(("n", "d", "conditions"), SHAPES)
@@ -118,7 +120,9 @@ def test_leace_is_the_smallest_change_among_guarding_maps():
         matrix = free.reshape(6, 6) @ (np.eye(6) - np.outer(cross, cross) / (cross @ cross))
         return (((X - mean) @ matrix.T + mean - X) ** 2).sum()
 
-    best = minimize(change, np.eye(6).ravel(), method="L-BFGS-B", options={"maxiter": 2000, "ftol": 1e-15, "gtol": 1e-9})
+    best = minimize(
+        change, np.eye(6).ravel(), method="L-BFGS-B", options={"maxiter": 2000, "ftol": 1e-15, "gtol": 1e-9}
+    )
     assert smallest == pytest.approx(best.fun, rel=1e-5)
     assert smallest < change(np.eye(6).ravel()) * 0.999, "an orthogonal projection is a larger change"
 
@@ -218,7 +222,11 @@ def test_the_same_seed_gives_the_same_directions():
 def test_classifiers_that_do_not_converge_are_counted_once(monkeypatch):
     from artifact import suppression
 
-    impatient = type("SGDClassifier", (SGDClassifier,), {"__init__": lambda self, **kw: SGDClassifier.__init__(self, **{**kw, "max_iter": 1})})
+    impatient = type(
+        "SGDClassifier",
+        (SGDClassifier,),
+        {"__init__": lambda self, **kw: SGDClassifier.__init__(self, **{**kw, "max_iter": 1})},
+    )
     monkeypatch.setattr(suppression, "SGDClassifier", impatient)
     X, condition = labelled(60, 20, 2)
     with pytest.warns(ConvergenceWarning, match="3 of 3 INLP classifiers did not converge") as caught:
@@ -257,13 +265,17 @@ def test_composition_equals_applying_in_order(kinds, seed):
     X = current
     for number, kind in enumerate(kinds):
         condition = np.random.default_rng([seed, number]).permutation(np.arange(50) % 2)
-        step = {"inlp": INLP(n_iterations=3), "leace": LEACE(), "shrunk": LEACE(shrinkage=True)}[kind].fit(current, condition)
+        step = {"inlp": INLP(n_iterations=3), "leace": LEACE(), "shrunk": LEACE(shrinkage=True)}[kind].fit(
+            current, condition
+        )
         steps.append(step)
         current = step.transform(current)
     both = compose(*steps)
     assert both.rank == sum(step.low_rank()[0].shape[1] for step in steps)
     np.testing.assert_allclose(both.transform(X), current, atol=1e-8 * np.abs(X).max())
-    np.testing.assert_allclose(compose(compose(*steps[:1]), *steps[1:]).transform(X), current, atol=1e-8 * np.abs(X).max())
+    np.testing.assert_allclose(
+        compose(compose(*steps[:1]), *steps[1:]).transform(X), current, atol=1e-8 * np.abs(X).max()
+    )
 
 
 def test_what_cannot_be_composed():
@@ -371,9 +383,16 @@ def test_bad_transforms_are_named():
 
 
 def test_estimators_follow_scikit_learn():
-    for estimator, parameters in ((INLP(7, seed=2), {"n_iterations": 7, "seed": 2, "device": None}), (LEACE(True), {"shrinkage": True, "tolerance": None, "device": None}), (STD(), {"epsilon": 1e-6})):
+    for estimator, parameters in (
+        (INLP(7, seed=2), {"n_iterations": 7, "seed": 2, "device": None}),
+        (LEACE(True), {"shrinkage": True, "tolerance": None, "device": None}),
+        (STD(), {"epsilon": 1e-6}),
+    ):
         assert estimator.get_params() == parameters
         assert clone(estimator).get_params() == parameters
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert LowRankMap(np.zeros((3, 0)), np.zeros((3, 0)), np.zeros(0)).transform(np.eye(3)).tolist() == np.eye(3).tolist()
+        assert (
+            LowRankMap(np.zeros((3, 0)), np.zeros((3, 0)), np.zeros(0)).transform(np.eye(3)).tolist()
+            == np.eye(3).tolist()
+        )

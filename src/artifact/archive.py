@@ -101,11 +101,7 @@ def unpacked(arrays: dict[str, np.ndarray]) -> Evaluation:
         n_database=int(arrays["numbers"][1]),
         pool_sizes=dict(zip(pools, arrays["pool_sizes"].tolist(), strict=True)),
         database={view: counts(f"database/{v}") for v, view in enumerate(views)},
-        pools={
-            (view, pool): counts(f"pool/{v}/{p}")
-            for v, view in enumerate(views)
-            for p, pool in enumerate(pools)
-        },
+        pools={(view, pool): counts(f"pool/{v}/{p}") for v, view in enumerate(views) for p, pool in enumerate(pools)},
     )
     return Evaluation(
         ranking=ranks,

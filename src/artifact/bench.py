@@ -75,9 +75,7 @@ def bare_product(queries: np.ndarray, database: np.ndarray) -> None:
 def ranking_lines(n_queries: int, n_database: int, dimension: int) -> Iterator[str]:
     """Time :func:`artifact.evaluate` on the CPU against the bare product over the same pairs."""
     queries, database, where, database_where = synthetic(n_queries, n_database, dimension)
-    evaluate(
-        queries[:64], database[:64], where[:64], database_where[:64], 25.0, device="cpu"
-    )  # compiles the kernels
+    evaluate(queries[:64], database[:64], where[:64], database_where[:64], 25.0, device="cpu")  # compiles the kernels
     before = _peak_mebibytes()
     bare = best_of(lambda: bare_product(queries, database))
     results = []
@@ -110,9 +108,7 @@ def view_lines(n_queries: int, n_database: int, dimension: int, n_views: int) ->
     )
 
 
-def extraction_lines(
-    manifest: Manifest, method: str = "efficientnet_lite0", n_images: int = 256
-) -> Iterator[str]:
+def extraction_lines(manifest: Manifest, method: str = "efficientnet_lite0", n_images: int = 256) -> Iterator[str]:
     """Time extraction from JPEG files against the model's own forward rate on the same batches."""
     entry = manifest.method(method)
     with tempfile.TemporaryDirectory() as name:
@@ -126,9 +122,7 @@ def extraction_lines(
         model_rate = 1 / alone
         with tqdm(disable=True) as bar:
             begun = time.perf_counter()
-            rows = sum(
-                len(values) for _, values in describe(traversal, model, entry, torch.device("cpu"), None, bar)
-            )
+            rows = sum(len(values) for _, values in describe(traversal, model, entry, torch.device("cpu"), None, bar))
             rate = rows / (time.perf_counter() - begun)
     yield (
         f"extraction of {n_images} images with {entry.title}: {rate:.1f} images/s, the model alone {model_rate:.1f} images/s, "

@@ -83,9 +83,7 @@ def build(manifest: Manifest) -> tuple[Path, float | None]:
             f"artifact run`) first"
         )
     html = source / "_build" / "html"
-    key = store.key(
-        stage="book", files=_contents(source), sphinx=version("sphinx"), theme=version("sphinx-book-theme")
-    )
+    key = store.key(stage="book", files=_contents(source), sphinx=version("sphinx"), theme=version("sphinx-book-theme"))
     stamp, index = html / ".artifact-key", html / "index.html"
     if stamp.exists() and index.exists() and stamp.read_text() == key:
         return index, None
@@ -109,13 +107,11 @@ def _build_strictly(source: Path) -> None:
         "--keep-going",
         "-q",
     ]
-    done = subprocess.run(  # noqa: S603
+    done = subprocess.run(
         command, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONWARNINGS": "ignore"}
     )
     if done.returncode:
-        lines = [
-            line for line in (done.stdout + done.stderr).splitlines() if "WARNING" in line or "ERROR" in line
-        ]
+        lines = [line for line in (done.stdout + done.stderr).splitlines() if "WARNING" in line or "ERROR" in line]
         shown = "\n".join(lines) or (done.stdout + done.stderr)[-3000:]
         raise BookError(f"the strict build of {source} failed:\n{shown}")
 
@@ -205,9 +201,7 @@ def _data_rows(manifest: Manifest, tasks: Sequence[Task]) -> list[list[str]]:
     for name in dict.fromkeys(name for task in tasks for name in task.datasets):
         kind = datasets.entry_of(manifest, name).kind
         for traversal in load_all(manifest, name):
-            state = (
-                "rendered" if kind == "city" else "images" if traversal.has_images else "shipped descriptors"
-            )
+            state = "rendered" if kind == "city" else "images" if traversal.has_images else "shipped descriptors"
             rows.append([name, traversal.name, str(len(traversal)), state, f"`{traversal.digest[:12]}`"])
     return rows
 
@@ -237,9 +231,7 @@ def status_lines(manifest: Manifest, profile: str) -> list[str]:
             continue
         for traversal in datasets.load(manifest, name).traversals.values():
             ready = [method for method in entry.methods if extract.is_ready(manifest, traversal, method)]
-            lines.append(
-                f"{name}/{traversal.name}: {len(traversal)} images, descriptors: {', '.join(ready) or 'none'}"
-            )
+            lines.append(f"{name}/{traversal.name}: {len(traversal)} images, descriptors: {', '.join(ready) or 'none'}")
     index = source_folder(manifest) / "_build" / "html" / "index.html"
     lines.append(f"book      {index if index.exists() else 'not built'}")
     return lines

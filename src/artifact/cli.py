@@ -50,14 +50,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"artifact {__version__}")
     commands = parser.add_subparsers(required=True, metavar="command")
 
-    def command(
-        name: str, function: Callable[[argparse.Namespace], int | None], text: str
-    ) -> argparse.ArgumentParser:
+    def command(name: str, function: Callable[[argparse.Namespace], int | None], text: str) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=text, description=text)
         sub.set_defaults(command=function)
-        sub.add_argument(
-            "--manifest", type=Path, help="manifest file (default: the nearest data_manifest.yaml)"
-        )
+        sub.add_argument("--manifest", type=Path, help="manifest file (default: the nearest data_manifest.yaml)")
         return sub
 
     def scope(sub: argparse.ArgumentParser) -> None:
@@ -75,13 +71,9 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("-p", "--parameter", action="append", default=[], metavar="[NOTEBOOK.]NAME=VALUE",
                          help="set a notebook parameter, for one notebook or for all that have it; VALUE is YAML")  # fmt: skip
         sub.add_argument("--jobs", type=int, help="notebooks that run at once (default: the number of cores)")
-        sub.add_argument(
-            "--force", action="store_true", help="run notebooks again even where nothing changed"
-        )
+        sub.add_argument("--force", action="store_true", help="run notebooks again even where nothing changed")
 
-    sub = command(
-        "reproduce", _reproduce, "make datasets and descriptors ready, run the notebooks, build the book"
-    )
+    sub = command("reproduce", _reproduce, "make datasets and descriptors ready, run the notebooks, build the book")
     notebooks(sub)
     sub = command("run", _run, "as reproduce, without building the book")
     notebooks(sub)
@@ -148,14 +140,10 @@ def _run(options: argparse.Namespace) -> None:
     from artifact import book, runner
 
     manifest = _manifest(options)
-    tasks = runner.plan(
-        manifest, options.profile, only=options.only, asked=asked_parameters(options.parameter)
-    )
+    tasks = runner.plan(manifest, options.profile, only=options.only, asked=asked_parameters(options.parameter))
     with book.timed() as preparation:
         runner.prepare(manifest, tasks)
-    outcomes = runner.run(
-        manifest, tasks, book.executed_folder(manifest), jobs=options.jobs, force=options.force
-    )
+    outcomes = runner.run(manifest, tasks, book.executed_folder(manifest), jobs=options.jobs, force=options.force)
     book.record_run(manifest, options.profile, tasks, outcomes, preparation.seconds)
     ran = [outcome for outcome in outcomes if not outcome.cached]
     sys.stdout.write(f"notebooks: {len(ran)} run, {len(outcomes) - len(ran)} unchanged\n")
@@ -206,9 +194,7 @@ def _extract(options: argparse.Namespace) -> None:
         for traversal in runner.load_all(manifest, name):
             for method in profile.methods:
                 found = extract.descriptors(manifest, traversal, method, device=options.device, progress=True)
-                sys.stdout.write(
-                    f"{method} · {name}/{traversal.name}: {found.values.shape} from {found.source}\n"
-                )
+                sys.stdout.write(f"{method} · {name}/{traversal.name}: {found.values.shape} from {found.source}\n")
 
 
 def _evaluate(options: argparse.Namespace) -> None:

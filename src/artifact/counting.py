@@ -209,16 +209,10 @@ def pool_rows(
                         _insert_distance(farthest[query], apart[place])
             if earlier:
                 for place in range(values.size):
-                    if (
-                        values[place] > level
-                        and apart[place] > threshold
-                        and earliest[image + place] < latest
-                    ):
+                    if values[place] > level and apart[place] > threshold and earliest[image + place] < latest:
                         _insert_places(first[query], orders[image + place])
             if higher:
                 for place in range(values.size):
                     if apart[place] > threshold and values[place] > top_similarity[query, top - 1]:
-                        _insert_descending(
-                            top_similarity[query], top_index[query], values[place], image + place
-                        )
+                        _insert_descending(top_similarity[query], top_index[query], values[place], image + place)
                 floor = min(level, top_similarity[query, top - 1])

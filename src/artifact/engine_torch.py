@@ -48,9 +48,7 @@ class TorchEngine:
         """Return the transposed tile."""
         return tile.T if tile.ndim else tile
 
-    def count_database(
-        self, tile, correction, scale, bias, starts, positives, offset, counts: Counts
-    ) -> None:
+    def count_database(self, tile, correction, scale, bias, starts, positives, offset, counts: Counts) -> None:
         """See :func:`database_rows`."""
         scale, bias = self._send(scale), self._send(bias)
         database_rows(tile - correction, scale, bias, starts, positives, offset, counts)
@@ -93,9 +91,7 @@ def database_rows(tile, scale, bias, starts, positives, offset, counts: Counts) 
     lengths = np.diff(starts[offset : offset + tile.shape[0] + 1])
     owner = torch.from_numpy(np.repeat(np.arange(tile.shape[0]), lengths)).to(tile.device)
     values = similarity[owner, torch.from_numpy(entries).to(tile.device)]
-    level = torch.full((tile.shape[0],), -torch.inf, device=tile.device).scatter_reduce_(
-        0, owner, values, "amax"
-    )
+    level = torch.full((tile.shape[0],), -torch.inf, device=tile.device).scatter_reduce_(0, owner, values, "amax")
     equal = (similarity == level[:, None]).sum(1)
     equal -= torch.zeros_like(equal).scatter_add_(0, owner, (values == level[owner]).to(equal.dtype))
     counts.best[rows] = level.cpu().numpy()

@@ -35,9 +35,7 @@ class CpuEngine:
     """Matrix products by NumPy's BLAS, counting by Numba in one thread per core."""
 
     def __init__(self) -> None:
-        self._workers = (
-            len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        )
+        self._workers = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._workers)
         self._buffers: dict[str, np.ndarray] = {}
 
@@ -67,9 +65,7 @@ class CpuEngine:
         """Return the transposed tile in row order."""
         return np.ascontiguousarray(tile.T)
 
-    def count_database(
-        self, tile, correction, scale, bias, starts, positives, offset, counts: Counts
-    ) -> None:
+    def count_database(self, tile, correction, scale, bias, starts, positives, offset, counts: Counts) -> None:
         """See :func:`artifact.counting.database_rows`."""
         self._by_rows(
             lambda rows, fix, first: counting.database_rows(

@@ -10,10 +10,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import platform
+import sys
 import time
+import types
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -131,9 +134,7 @@ def _load(path: Path, key: str, source: str) -> Descriptors:
     try:
         values = np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError) as error:
-        raise store.StoreError(
-            f"{path}: cannot be read ({error}); delete it and its .json and run again"
-        ) from None
+        raise store.StoreError(f"{path}: cannot be read ({error}); delete it and its .json and run again") from None
     if sidecar["key"] != key or list(values.shape) != sidecar["shape"]:
         raise store.StoreError(
             f"{path}: does not fit its sidecar {path.with_suffix('.json').name}; delete both and run again"
@@ -163,9 +164,7 @@ def _extract(
         disable=None if progress else True, smoothing=0.05, leave=False,
     ) as bar:  # fmt: skip
         try:
-            for rows, values in describe(
-                traversal, model, entry, chosen, workers, bar, first=output.done, clock=clock
-            ):
+            for rows, values in describe(traversal, model, entry, chosen, workers, bar, first=output.done, clock=clock):
                 output.write(rows, values)
         except BaseException:
             output.pause()
@@ -311,7 +310,8 @@ def _read(
         waiting: deque[Future[tuple[list[np.ndarray], list[str]]]] = deque()
         try:
             for batch in batches:
-                waiting.append(pool.submit(_prepare_batch, batch, preprocessing))
+                with _main_unseen():
+                    waiting.append(pool.submit(_prepare_batch, batch, preprocessing))
                 if len(waiting) > workers + 2:
                     yield waiting.popleft().result()
             while waiting:
@@ -328,6 +328,17 @@ def _context() -> multiprocessing.context.BaseContext:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["artifact.methods.preprocessing"])
     return context
+
+
+@contextmanager
+def _main_unseen() -> Iterator[None]:
+    """Keep a worker that starts now from running the caller's script again, which needs no ``__main__`` guard then."""
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = types.ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 def _prepare_batch(paths: list[Path], preprocessing: Preprocessing) -> tuple[list[np.ndarray], list[str]]:

@@ -51,9 +51,7 @@ def embed(figure: Figure, description: str, *, form: str = "svg", width: int | N
     kind = {"svg": "image/svg+xml", "jpeg": "image/jpeg"}[form]
     data = base64.b64encode(stream.getvalue()).decode()
     style = f' style="max-width:{width}px"' if width else ""
-    return HTML(
-        f'<img class="figure"{style} alt="{html.escape(description)}" src="data:{kind};base64,{data}">'
-    )
+    return HTML(f'<img class="figure"{style} alt="{html.escape(description)}" src="data:{kind};base64,{data}">')
 
 
 # -- Fig. 5 -------------------------------------------------------------------------------------------------
@@ -77,9 +75,7 @@ def reported_scatter() -> HTML:
     named = paper.dataset_titles()
     panels = {named[dataset]: rows for dataset, rows in points.groupby("dataset", sort=False)}
     titles = paper.method_titles()
-    return embed(
-        _scatter(panels, titles, 1), "The paper's DAR@1 against R@1 of eleven methods on six datasets"
-    )
+    return embed(_scatter(panels, titles, 1), "The paper's DAR@1 against R@1 of eleven methods on six datasets")
 
 
 def _scatter(panels: Mapping[str, pd.DataFrame], titles: Mapping[str, str], k: int) -> Figure:
@@ -140,9 +136,7 @@ def _number_and_distance(
         curve(left, rows["ratio"], rows["DAR"], method, list(titles))
         if "draw_low" in rows:
             colour = method_style(method, list(titles)).colour
-            left.fill_between(
-                rows["ratio"], rows["draw_low"], rows["draw_high"], color=colour, alpha=0.18, linewidth=0
-            )
+            left.fill_between(rows["ratio"], rows["draw_low"], rows["draw_high"], color=colour, alpha=0.18, linewidth=0)
     left.set_xlabel("Distractor-to-query ratio")
     left.set_title("(a) Distractor number")
     _draw_distance(right, distance, titles, unit)
@@ -172,20 +166,14 @@ def _draw_distance(axes: Axes, distance: pd.DataFrame, titles: Mapping[str, str]
 
 def condition(table: pd.DataFrame, titles: Mapping[str, str], *, query_condition: str, k: int = 1) -> HTML:
     """Fig. 7: DAR@K by the condition of the distractors, ordered by the mean over methods."""
-    return embed(
-        _condition(table, titles, query_condition, k), f"DAR@{k} by the condition of the distractors"
-    )
+    return embed(_condition(table, titles, query_condition, k), f"DAR@{k} by the condition of the distractors")
 
 
 def reported_condition() -> HTML:
     """Draw Fig. 7 from the values that the paper plots for RobotCar."""
-    table = paper.reported("fig07").rename(
-        columns={"dar_percent": "DAR", "distractor_condition": "condition"}
-    )
+    table = paper.reported("fig07").rename(columns={"dar_percent": "DAR", "distractor_condition": "condition"})
     titles = paper.method_titles()
-    return embed(
-        _condition(table, titles, "sun,clouds", 1), "The paper's DAR@1 on RobotCar by distractor condition"
-    )
+    return embed(_condition(table, titles, "sun,clouds", 1), "The paper's DAR@1 on RobotCar by distractor condition")
 
 
 def _condition(table: pd.DataFrame, titles: Mapping[str, str], query_condition: str, k: int) -> Figure:
@@ -215,12 +203,8 @@ _POSITIVES = [(1.5, 1.6), (-1.7, 1.3), (-0.9, -1.9)]
 def retrieval_diagram() -> HTML:
     """Fig. 4: what is in the database for recall (a) and for DAR (b); drawn, not measured."""
     figure = Figure(figsize=(7.2, 3.9))
-    for axes, title, extra in zip(
-        figure.subplots(1, 2), ("(a) Recall", "(b) DAR"), ([], _DISTRACTORS), strict=True
-    ):
-        axes.add_patch(
-            Circle((0, 0), 2.8, facecolor="#e7f5e9", edgecolor="#2e7d32", linestyle="--", linewidth=1.4)
-        )
+    for axes, title, extra in zip(figure.subplots(1, 2), ("(a) Recall", "(b) DAR"), ([], _DISTRACTORS), strict=True):
+        axes.add_patch(Circle((0, 0), 2.8, facecolor="#e7f5e9", edgecolor="#2e7d32", linestyle="--", linewidth=1.4))
         for places, size, colour in (
             (_CROSS, 0.6, DATABASE_COLOUR),
             (_POSITIVES, 0.66, DATABASE_COLOUR),
@@ -242,17 +226,13 @@ def retrieval_diagram() -> HTML:
         axes.set(xlim=(-5.1, 5.3), ylim=(-4.4, 3.6), aspect="equal", title=title)
         axes.set_axis_off()
         axes.add_patch(
-            FancyBboxPatch(
-                (-5.0, -4.3), 10.2, 7.8, boxstyle="round,pad=0,rounding_size=0.2", fill=False, linewidth=0.8
-            )
+            FancyBboxPatch((-5.0, -4.3), 10.2, 7.8, boxstyle="round,pad=0,rounding_size=0.2", fill=False, linewidth=0.8)
         )
     handles = [
         Rectangle((0, 0), 1, 1, facecolor=DATABASE_COLOUR, edgecolor="black", linewidth=0.7),
         Rectangle((0, 0), 1, 1, facecolor=DISTRACTOR_COLOUR, edgecolor="black", linewidth=0.7),
     ]
-    figure.legend(
-        handles, ["Cross-condition database", "Distractors (query's condition)"], loc="lower center", ncols=2
-    )
+    figure.legend(handles, ["Cross-condition database", "Distractors (query's condition)"], loc="lower center", ncols=2)
     figure.tight_layout(rect=(0, 0.07, 1, 1))
     return embed(
         figure,

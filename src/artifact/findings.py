@@ -68,7 +68,9 @@ def ranking_changes(table: pd.DataFrame, titles: Mapping[str, str], k: int = 1) 
         tau = rank_agreement(means.R.to_numpy(), means.DAR.to_numpy())
         agrees = len(moved) > 0
         moves = "; ".join(f"{titles[m]} from {means.rank_R[m]} to {means.rank_DAR[m]}" for m in moved)
-        found = f"{len(moved)} of {len(means)} methods change rank{f' ({moves})' if moves else ''}; Kendall's τ = {tau:.2f}"
+        found = (
+            f"{len(moved)} of {len(means)} methods change rank{f' ({moves})' if moves else ''}; Kendall's τ = {tau:.2f}"
+        )
     return Finding(
         "tab03",
         f"Ranking methods by mean DAR@{k} gives another order than ranking them by mean R@{k}.",
@@ -138,9 +140,7 @@ def few_distractors_suffice(table: pd.DataFrame, titles: Mapping[str, str], k: i
     )
 
 
-def near_distractors_hurt_most(
-    table: pd.DataFrame, titles: Mapping[str, str], unit: str, k: int = 1
-) -> Finding:
+def near_distractors_hurt_most(table: pd.DataFrame, titles: Mapping[str, str], unit: str, k: int = 1) -> Finding:
     """Distractors near the query do the most harm; distant ones still do some (Fig. 6b)."""
     wide = table.pivot(index="method", columns="distance", values="DAR")
     finite = [distance for distance in sorted(wide.columns) if np.isfinite(distance)]
@@ -213,9 +213,7 @@ def collect(manifest: Manifest, names: Sequence[str], methods: Sequence[str], *,
             *(d for d in (50.0, 75.0, 100.0, 150.0, 200.0) if d > threshold),
             float("inf"),
         ]
-        number = studies.distractor_number(
-            manifest, metric, methods, [0, 0.1, 0.2, 0.4, 0.6, 0.8, 1], seed=seed
-        )
+        number = studies.distractor_number(manifest, metric, methods, [0, 0.1, 0.2, 0.4, 0.6, 0.8, 1], seed=seed)
         distance = studies.distractor_distance(manifest, metric, methods, distances, seed=seed)
         found += [
             few_distractors_suffice(number.table, titles),

@@ -40,9 +40,7 @@ def contact_sheet(dataset: Dataset, n: int = 5, names: Sequence[str] | None = No
             index = nearest(traversal, dataset.query.positions[place])
             show_image(panel, picture(traversal, index))
         row[0].set_ylabel(
-            f"{traversal.name}\n{traversal.condition}"
-            if traversal.name != traversal.condition
-            else traversal.name,
+            f"{traversal.name}\n{traversal.condition}" if traversal.name != traversal.condition else traversal.name,
             fontsize=8,
         )
     figure.subplots_adjust(left=0.05, right=1, top=1, bottom=0, wspace=0.02, hspace=0.03)
@@ -84,9 +82,7 @@ def retrieval_strips(measured: Measured, n: int = 4) -> HTML:
     axes = figure.subplots(len(chosen), 3, squeeze=False)
     for row, query in zip(axes, chosen, strict=True):
         distractor = int(augmented[query, 0]) - result.ranking.n_database
-        away = np.linalg.norm(
-            result.query_positions[query] - result.pool_positions[result.pool_name][distractor]
-        )
+        away = np.linalg.norm(result.query_positions[query] - result.pool_positions[result.pool_name][distractor])
         shown = [
             (dataset.query, int(result.evaluated[query]), QUERY_COLOUR),
             (dataset.database, int(alone[query, 0]), RIGHT_COLOUR),
@@ -96,14 +92,10 @@ def retrieval_strips(measured: Measured, n: int = 4) -> HTML:
             show_image(panel, picture(traversal, index), colour)
         unit = {"metres": "m", "frames": "frames", "pairs": "pairs"}[dataset.unit]
         row[2].set_xlabel(f"{away:.0f} {unit} away", fontsize=8, labelpad=2)
-    for panel, title in zip(
-        axes[0], ("Query", "Top 1 of the database", "Top 1 with distractors"), strict=True
-    ):
+    for panel, title in zip(axes[0], ("Query", "Top 1 of the database", "Top 1 with distractors"), strict=True):
         panel.set_title(title, fontsize=9, pad=4)
     figure.subplots_adjust(
         left=0, right=1, top=1 - 0.25 / figure.get_figheight(), bottom=0.06, wspace=0.03, hspace=0.16
     )
-    text = (
-        f"{len(chosen)} queries of {dataset.title} that retrieve the right place until distractors are added"
-    )
+    text = f"{len(chosen)} queries of {dataset.title} that retrieve the right place until distractors are added"
     return embed(figure, text, form="jpeg", width=680)

@@ -93,15 +93,11 @@ def compose(*steps: Any) -> LowRankMap:
         raise ValueError("compose needs at least one transform")
     for step in steps:
         if not hasattr(step, "low_rank"):
-            raise TypeError(
-                f"{type(step).__name__} has no low-rank form; INLP, LEACE and their compositions have"
-            )
+            raise TypeError(f"{type(step).__name__} has no low-rank form; INLP, LEACE and their compositions have")
     parts = [step.low_rank() for step in steps]
     widths = {part[0].shape[0] for part in parts}
     if len(widths) > 1:
-        raise ValueError(
-            f"the transforms were fitted on different widths: {', '.join(map(str, sorted(widths)))}"
-        )
+        raise ValueError(f"the transforms were fitted on different widths: {', '.join(map(str, sorted(widths)))}")
     left, right, offset = parts[0]
     for next_left, next_right, next_offset in parts[1:]:
         overlap = left.T @ next_right

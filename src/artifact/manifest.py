@@ -122,9 +122,7 @@ class DatasetEntry(_Strict):
     def _traversals_exist(self) -> DatasetEntry:
         named = {"query": [self.query], "database": [self.database]}
         named["distractor_traversals"] = self.distractor_traversals
-        named["same_condition_traversal"] = (
-            [self.same_condition_traversal] if self.same_condition_traversal else []
-        )
+        named["same_condition_traversal"] = [self.same_condition_traversal] if self.same_condition_traversal else []
         named["irrelevant_pairs"] = [name for pair in self.irrelevant_pairs for name in pair]
         for key, names in named.items():
             for name in names:
@@ -135,9 +133,7 @@ class DatasetEntry(_Strict):
         for name, traversal in self.traversals.items():
             if (self.kind == "city") != (traversal.render is not None):
                 need = "needs" if self.kind == "city" else "cannot have"
-                raise ValueError(
-                    f"traversal {name!r} {need} the key 'render' in a dataset of kind {self.kind!r}"
-                )
+                raise ValueError(f"traversal {name!r} {need} the key 'render' in a dataset of kind {self.kind!r}")
         return self
 
 
@@ -165,9 +161,7 @@ class Preprocessing(_Strict):
     @model_validator(mode="after")
     def _is_consistent(self) -> Preprocessing:
         if (self.resize == "fixed") != (self.size is not None):
-            raise ValueError(
-                "resize 'fixed' needs the key 'size' (height and width), resize 'native' cannot have it"
-            )
+            raise ValueError("resize 'fixed' needs the key 'size' (height and width), resize 'native' cannot have it")
         if self.library == "pillow" and not self.antialias:
             raise ValueError(
                 "library 'pillow' always filters before shrinking; for antialias: false use library 'tensor'"
@@ -222,9 +216,7 @@ class _Document(_Strict):
             for kind, known in (("datasets", self.datasets), ("methods", self.methods)):
                 for entry in getattr(profile, kind):
                     if entry not in known:
-                        raise ValueError(
-                            f"profiles.{name}.{kind} names {entry!r}; the {kind} are {_quoted(known)}"
-                        )
+                        raise ValueError(f"profiles.{name}.{kind} names {entry!r}; the {kind} are {_quoted(known)}")
         return self
 
 
@@ -278,18 +270,14 @@ def load(path: str | os.PathLike[str] | None = None) -> Manifest:
     """
     path = find() if path is None else Path(path)
     if not path.is_file():
-        raise ManifestError(
-            f"{path}: no such file; the manifest is data_manifest.yaml at the top of the repository"
-        )
+        raise ManifestError(f"{path}: no such file; the manifest is data_manifest.yaml at the top of the repository")
     root = _compose(path)
     try:
         document = _Document.model_validate(_plain(root, path))
     except ValidationError as error:
         raise ManifestError("\n".join(_explain(error, root, path))) from None
     chosen = os.environ.get(DATA_ROOT_VARIABLE)
-    data_root = (
-        Path(chosen).expanduser() if chosen else path.resolve().parent / Path(document.data_root).expanduser()
-    )
+    data_root = Path(chosen).expanduser() if chosen else path.resolve().parent / Path(document.data_root).expanduser()
     return Manifest(
         path=path.resolve(),
         data_root=data_root.resolve(),
@@ -406,9 +394,7 @@ def _line(root: yaml.Node, location: tuple[Any, ...]) -> int:
     return line
 
 
-def _explain(
-    error: ValidationError, root: yaml.Node, path: Path, model: type[BaseModel] = _Document
-) -> Iterator[str]:
+def _explain(error: ValidationError, root: yaml.Node, path: Path, model: type[BaseModel] = _Document) -> Iterator[str]:
     for fault in error.errors():
         location = tuple(part for part in fault["loc"] if part != "[key]")
         where = f"{path}:{_line(root, location)}: {'.'.join(map(str, location)) or 'manifest'}"

@@ -213,9 +213,7 @@ class Evaluation:
                 f"distances are {distances!r}; allowed: a list of numbers from the threshold {self.threshold:g} up"
             )
         needed = self._needed(k)
-        distance = np.take_along_axis(
-            self.distractor_counts.farthest, np.maximum(needed - 1, 0)[:, None], axis=1
-        )[:, 0]
+        distance = np.take_along_axis(self.distractor_counts.farthest, np.maximum(needed - 1, 0)[:, None], axis=1)[:, 0]
         hits = ~(distance[:, None] > limits) & (needed > 0)[:, None]
         return hits.mean(axis=0)
 
@@ -229,9 +227,7 @@ class Evaluation:
         """How many distractors must beat the best positive to push it out of the top K; 0 if it is out already."""
         depth = self.distractor_counts.farthest.shape[1]
         if _checked_k(k) > depth:
-            raise ValueError(
-                f"k is {k}; this evaluation keeps sweeps for K up to {depth}: raise the option depth"
-            )
+            raise ValueError(f"k is {k}; this evaluation keeps sweeps for K up to {depth}: raise the option depth")
         return np.clip(k - self.database_counts.beaters, 0, k)
 
     # -- retrieval lists ------------------------------------------------------------------------------------
@@ -342,9 +338,7 @@ def evaluate(
     _same_width(("queries", query_set), ("database", database_set))
     pools: dict[str, ImageSet | None] = {}
     for name, (images, positions) in _named_pools(distractors, distractor_positions).items():
-        pools[name] = (
-            None if images is None else _image_set(f"distractors {name!r}", images, positions, similarity)
-        )
+        pools[name] = None if images is None else _image_set(f"distractors {name!r}", images, positions, similarity)
         if pools[name] is not None:
             _same_width(("queries", query_set), (f"distractors {name!r}", pools[name]))
     ranking = rank(query_set, database_set, threshold, pools, views, chosen)
@@ -399,9 +393,7 @@ def _named_pools(distractors: Any, positions: Any) -> dict[str, tuple[Any, Any]]
     if positions is None:
         raise ValueError("distractors are given without distractor_positions")
     if isinstance(distractors, Mapping) != isinstance(positions, Mapping):
-        raise TypeError(
-            "distractors and distractor_positions must both be arrays or both be mappings by name"
-        )
+        raise TypeError("distractors and distractor_positions must both be arrays or both be mappings by name")
     if not isinstance(distractors, Mapping):
         return {"distractors": (distractors, positions)}
     if not distractors or set(distractors) != set(positions):
@@ -414,16 +406,10 @@ def _named_pools(distractors: Any, positions: Any) -> dict[str, tuple[Any, Any]]
 
 def _image_set(name: str, descriptors: Any, positions: Any, similarity: str) -> ImageSet:
     if not isinstance(descriptors, np.ndarray) or descriptors.dtype not in (np.float32, np.float16):
-        kind = (
-            f"an array of {descriptors.dtype}"
-            if isinstance(descriptors, np.ndarray)
-            else type(descriptors).__name__
-        )
+        kind = f"an array of {descriptors.dtype}" if isinstance(descriptors, np.ndarray) else type(descriptors).__name__
         raise TypeError(f"{name}: descriptors are {kind}; allowed: NumPy arrays of float32 or float16")
     if descriptors.ndim != 2 or 0 in descriptors.shape:
-        raise ValueError(
-            f"{name}: descriptors have the shape {descriptors.shape}; allowed: (n, d), neither zero"
-        )
+        raise ValueError(f"{name}: descriptors have the shape {descriptors.shape}; allowed: (n, d), neither zero")
     where = np.asarray(positions, np.float64)
     where = where[:, None] if where.ndim == 1 else where
     if where.ndim != 2 or where.shape[0] != len(descriptors) or where.shape[1] == 0:
@@ -432,18 +418,12 @@ def _image_set(name: str, descriptors: Any, positions: Any, similarity: str) -> 
             f"allowed: ({len(descriptors)}, p)"
         )
     if not np.isfinite(where).all():
-        raise ValueError(
-            f"{name}: the position of row {_first(~np.isfinite(where).all(axis=1))} is not finite"
-        )
+        raise ValueError(f"{name}: the position of row {_first(~np.isfinite(where).all(axis=1))} is not finite")
     squared = squared_norms(descriptors)
     if not np.isfinite(squared).all():
-        raise ValueError(
-            f"{name}: row {_first(~np.isfinite(squared))} of the descriptors has NaN or infinite values"
-        )
+        raise ValueError(f"{name}: row {_first(~np.isfinite(squared))} of the descriptors has NaN or infinite values")
     if (squared == 0).any():
-        raise ValueError(
-            f"{name}: row {_first(squared == 0)} of the descriptors is all zeros and has no direction"
-        )
+        raise ValueError(f"{name}: row {_first(squared == 0)} of the descriptors is all zeros and has no direction")
     lengths = np.sqrt(squared)
     if similarity != "cosine" and (np.abs(lengths - 1) > _UNIT_TOLERANCE).any():
         row = _first(np.abs(lengths - 1) > _UNIT_TOLERANCE)

@@ -47,9 +47,7 @@ class Page:
         """One line that says what the numbers on the page are from."""
         kinds = {self.manifest.method(name).kind for name in self.methods}
         what = {"baseline": "baselines, not methods of the paper", "paper": "methods of the paper"}
-        rendered = [
-            t for n, t in self.dataset_titles.items() if data.entry_of(self.manifest, n).kind == "city"
-        ]
+        rendered = [t for n, t in self.dataset_titles.items() if data.entry_of(self.manifest, n).kind == "city"]
         real = [t for n, t in self.dataset_titles.items() if data.entry_of(self.manifest, n).kind != "city"]
         images = []
         if real:
@@ -62,9 +60,7 @@ class Page:
         """Return the page narrowed to one dataset."""
         return replace(self, datasets=(dataset,))
 
-    def choose(
-        self, dataset: str | None, *, unit: str | None = None, distractor_traversals: bool = False
-    ) -> str:
+    def choose(self, dataset: str | None, *, unit: str | None = None, distractor_traversals: bool = False) -> str:
         """Return the named dataset, or the first of the profile that suits.
 
         Parameters

@@ -44,9 +44,7 @@ def read(notebook: Path) -> dict[str, Any]:
             or len(statement.targets) != 1
             or not isinstance(statement.targets[0], ast.Name)
         ):
-            raise ParameterError(
-                f"{notebook}: line {statement.lineno} of the parameters cell is not 'name = literal'"
-            )
+            raise ParameterError(f"{notebook}: line {statement.lineno} of the parameters cell is not 'name = literal'")
         name = statement.targets[0].id
         try:
             defaults[name] = ast.literal_eval(statement.value)
@@ -102,11 +100,7 @@ def _integer(lowest: int) -> _Check:
 
 def _numbers(low: float, high: float) -> _Check:
     def check(value: Any, _: Manifest) -> str | None:
-        good = (
-            isinstance(value, list)
-            and value
-            and all(_is_number(item) and low <= item <= high for item in value)
-        )
+        good = isinstance(value, list) and value and all(_is_number(item) and low <= item <= high for item in value)
         return None if good else f"allowed: a list of numbers from {low:g} to {high:g}"
 
     return check
@@ -114,11 +108,7 @@ def _numbers(low: float, high: float) -> _Check:
 
 def _number(low: float, high: float) -> _Check:
     def check(value: Any, _: Manifest) -> str | None:
-        return (
-            None
-            if _is_number(value) and low <= value <= high
-            else f"allowed: a number from {low:g} to {high:g}"
-        )
+        return None if _is_number(value) and low <= value <= high else f"allowed: a number from {low:g} to {high:g}"
 
     return check
 
@@ -165,11 +155,7 @@ def _same_type(default: Any) -> _Check:
     """Accept values of the type of the default; a whole number is a number."""
 
     def check(value: Any, _: Manifest) -> str | None:
-        if (
-            default is None
-            or type(value) is type(default)
-            or (isinstance(default, float) and _is_number(value))
-        ):
+        if default is None or type(value) is type(default) or (isinstance(default, float) and _is_number(value)):
             return None
         return f"allowed: a value of type {type(default).__name__}, as the default {default!r}"
 

@@ -93,9 +93,7 @@ def method_legend(figure: Figure, titles: dict[str, str], *, columns: int = 4, y
         Line2D([], [], linestyle="none", label=title, **marker_options(name, list(titles)))
         for name, title in titles.items()
     ]
-    figure.legend(
-        handles=handles, loc="upper center", bbox_to_anchor=(0.5, y), ncols=min(columns, len(handles))
-    )
+    figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, y), ncols=min(columns, len(handles)))
 
 
 def curve(
@@ -103,9 +101,7 @@ def curve(
 ) -> None:  # fmt: skip
     """Draw one method's curve; reported curves are dashed and faint."""
     if reported:
-        axes.plot(
-            x, y, linestyle=(0, (3, 2)), alpha=0.45, linewidth=1.1, color=method_style(method, methods).colour
-        )
+        axes.plot(x, y, linestyle=(0, (3, 2)), alpha=0.45, linewidth=1.1, color=method_style(method, methods).colour)
     else:
         axes.plot(x, y, **marker_options(method, methods))
 

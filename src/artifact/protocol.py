@@ -61,9 +61,7 @@ def sensitivity(
             result = measured.evaluation
             recall, dar = result.recall(k), result.dar(k)
             kept = result.n_queries / (result.n_queries + result.excluded_queries)
-            beyond = (
-                result.dar_by_distance([2 * result.threshold], k)[0] - dar if result.threshold else np.nan
-            )
+            beyond = result.dar_by_distance([2 * result.threshold], k)[0] - dar if result.threshold else np.nan
             changes = {
                 "ties_R": result.recall(k, ties="against") - recall,
                 "ties_DAR": result.dar(k, ties="against") - dar,

@@ -163,9 +163,7 @@ def rank(
         )
         in_database = run.over_database(database, starts, positives)
         best = {view: counts.best for view, counts in in_database.items()}
-        in_pools = {
-            name: run.over_pool(queries if pool is None else pool, best) for name, pool in pools.items()
-        }
+        in_pools = {name: run.over_pool(queries if pool is None else pool, best) for name, pool in pools.items()}
     return Ranking(
         evaluated=evaluated,
         n_listed=n_listed,
@@ -194,9 +192,7 @@ def positives_of(
     >>> starts.tolist(), positives.tolist()
     ([0, 2, 2], [0, 1])
     """
-    near = cKDTree(database_positions).query_ball_point(
-        query_positions, threshold * (1 + 1e-9), return_sorted=True
-    )
+    near = cKDTree(database_positions).query_ball_point(query_positions, threshold * (1 + 1e-9), return_sorted=True)
     lengths = np.fromiter((len(found) for found in near), np.int64, len(near))
     indices = np.fromiter((index for found in near for index in found), np.int64, int(lengths.sum()))
     owners = np.repeat(np.arange(len(near)), lengths)
@@ -225,9 +221,7 @@ class _Pass:
     transforms: Mapping[str, LowRank | None]
     options: Options
 
-    def over_database(
-        self, database: ImageSet, starts: np.ndarray, positives: np.ndarray
-    ) -> dict[str, Counts]:
+    def over_database(self, database: ImageSet, starts: np.ndarray, positives: np.ndarray) -> dict[str, Counts]:
         """Multiply blocks of queries with the whole database: best positives, and the images above them."""
         options, n = self.options, len(self.queries)
         columns = _readings(database, self.transforms, options.similarity)
@@ -235,9 +229,7 @@ class _Pass:
         copies = 2 if len(self.transforms) > 1 else 1
         step = max(1, min(_LARGEST_ROWS, options.memory // (4 * copies * len(database))))
         for rows in _blocks(n, step):
-            tile = self.engine.product(
-                self.queries.descriptors, rows, database.descriptors, slice(0, len(database))
-            )
+            tile = self.engine.product(self.queries.descriptors, rows, database.descriptors, slice(0, len(database)))
             for view, column in columns.items():
                 correction = self.engine.correction(self.rows[view].left[rows], column.right)
                 self.engine.count_database(
@@ -250,9 +242,7 @@ class _Pass:
         options, n = self.options, len(self.queries)
         own = pool is self.queries
         columns = self.rows if own else _readings(pool, self.transforms, options.similarity)
-        counts = {
-            view: Counts.empty(n, options.depth, options.draws, options.retrieve) for view in self.transforms
-        }
+        counts = {view: Counts.empty(n, options.depth, options.draws, options.retrieve) for view in self.transforms}
         for view in self.transforms:
             counts[view].best[:] = best[view]
         orders = _draw_orders(len(pool), options)
@@ -270,7 +260,7 @@ class _Pass:
                     self._count(turned, correction, column, cols, rows, pool, orders, counts[view])
         return counts
 
-    def _count(self, tile, correction, column, rows, cols, pool, orders, counts) -> None:  # noqa: ANN001, PLR0917
+    def _count(self, tile, correction, column, rows, cols, pool, orders, counts) -> None:
         self.engine.count_pool(
             tile, correction, column.scale[cols], column.bias[cols], rows.start, cols.start,
             self.queries.positions, pool.positions, self.threshold, orders, counts,
@@ -287,12 +277,8 @@ def _readings(
     """
     squared = squared_norms(images.descriptors)
     readings = {}
-    bases = {
-        view: [np.asarray(part, np.float32) for part in t.low_rank()] for view, t in transforms.items() if t
-    }
-    projected = _project(
-        images.descriptors, [part for left, right, _ in bases.values() for part in (left, right)]
-    )
+    bases = {view: [np.asarray(part, np.float32) for part in t.low_rank()] for view, t in transforms.items() if t}
+    projected = _project(images.descriptors, [part for left, right, _ in bases.values() for part in (left, right)])
     for view in transforms:
         left_factor = right_factor = np.zeros((len(images), 0), np.float32)
         change = 0.0

@@ -39,8 +39,7 @@ def _one_finding(item: Finding) -> str:
         "This run": f"{html.escape(item.found)} {_agreement(item.agrees)}",
     }
     listed = "".join(
-        f'<div class="row"><span class="tag">{tag}</span><span>{text}</span></div>'
-        for tag, text in rows.items()
+        f'<div class="row"><span class="tag">{tag}</span><span>{text}</span></div>' for tag, text in rows.items()
     )
     return f'<div class="claim">{listed}</div>'
 
@@ -92,9 +91,7 @@ def table(
 ) -> HTML:  # fmt: skip
     """Show a frame as a plain table; columns named in ``numeric`` are set flush right."""
     right = set(numeric)
-    head = "".join(
-        f'<th class="{"right" if c in right else ""}">{html.escape(str(c))}</th>' for c in frame.columns
-    )
+    head = "".join(f'<th class="{"right" if c in right else ""}">{html.escape(str(c))}</th>' for c in frame.columns)
     body = "".join(
         "<tr>"
         + "".join(
@@ -152,9 +149,7 @@ def recall_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1, 
     }
     columns |= {("mean", metric): means[metric].tolist() for metric in METRICS}
     marked = {column: marks([round(value, 9) for value in values]) for column, values in columns.items()}
-    ranks = {
-        (method, metric): means.loc[method, f"rank_{metric}"] for method in methods for metric in METRICS
-    }
+    ranks = {(method, metric): means.loc[method, f"rank_{metric}"] for method in methods for metric in METRICS}
     heads = [cells.loc[(name, methods[0]), "title"] for name in names] + ["Mean"]
     return _recall_html(
         heads, {method: titles.get(method, method) for method in methods}, columns, marked, ranks, k, label
@@ -174,16 +169,12 @@ def reported_recall_table() -> HTML:
             part = by_cell.loc[(name, f"{metric}@1")].loc[list(titles)]
             columns[name, metric] = part["percent"].tolist()
             marked[name, metric] = part["mark"].fillna("").tolist()
-    ranks = {
-        (m, metric): int(by_cell.loc[("mean", f"{metric}@1", m), "rank"])
-        for m in titles
-        for metric in METRICS
-    }
+    ranks = {(m, metric): int(by_cell.loc[("mean", f"{metric}@1", m), "rank"]) for m in titles for metric in METRICS}
     label = "Reported by the paper (not measured here)."
     return _recall_html([named[n] for n in names], titles, columns, marked, ranks, 1, label)
 
 
-def _recall_html(heads, titles, columns, marked, ranks, k, label) -> HTML:  # noqa: ANN001, PLR0917
+def _recall_html(heads, titles, columns, marked, ranks, k, label) -> HTML:
     top = "".join(f'<th colspan="3" class="group">{html.escape(head)}</th>' for head in heads)
     sub = "".join(f'<th class="right">{metric}@{k}</th>' for _ in heads for metric in METRICS)
     body = []
@@ -202,9 +193,7 @@ def _recall_html(heads, titles, columns, marked, ranks, k, label) -> HTML:  # no
 def scope_notice(page: Page) -> HTML:
     """Say in a box what this build was measured on, and that it is not the paper's data where it is not."""
     kinds = {page.manifest.method(name).kind for name in page.methods}
-    reported = [
-        n for n in page.datasets if page.manifest.datasets.get(n) and page.manifest.datasets[n].reported_as
-    ]
+    reported = [n for n in page.datasets if page.manifest.datasets.get(n) and page.manifest.datasets[n].reported_as]
     comparable = "paper" in kinds and reported
     note = (
         "Numbers are compared with the paper's where dataset and method are the same."
@@ -280,9 +269,7 @@ def datasets_table(frame: pd.DataFrame) -> HTML:
             "Mirrors": frame["mirrors"].replace("", "–"),
         }
     )
-    return table(
-        shown, numeric=["#Query", "evaluated", "#Database", "Positives"], caption="Datasets of this run."
-    )
+    return table(shown, numeric=["#Query", "evaluated", "#Database", "Positives"], caption="Datasets of this run.")
 
 
 def reported_datasets_table() -> HTML:
@@ -321,9 +308,7 @@ def methods_table(frame: pd.DataFrame) -> HTML:
             "Licence": frame["licence"],
         }
     )
-    return table(
-        shown, numeric=["Dim", "Batch", "Images per second", "Busy %"], caption="Methods of this run."
-    )
+    return table(shown, numeric=["Dim", "Batch", "Images per second", "Busy %"], caption="Methods of this run.")
 
 
 def reported_methods_table(manifest: Manifest) -> HTML:
@@ -359,9 +344,7 @@ def beside_reported(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 
             shown[f"{metric}@{k} %"] = _beside(row, metric)
         shown |= {"Queries": row["queries"], "From": html.escape(row["origin"])}
         rows.append(shown)
-    return table(
-        pd.DataFrame(rows), numeric=[*(f"{metric}@{k} %" for metric in METRICS), "Queries"], escape=False
-    )
+    return table(pd.DataFrame(rows), numeric=[*(f"{metric}@{k} %" for metric in METRICS), "Queries"], escape=False)
 
 
 def _beside(row: Mapping[str, Any], metric: str) -> str:
@@ -417,5 +400,5 @@ def code_revision() -> str:
 
 
 def _git(folder: Path, *arguments: str) -> str:
-    done = subprocess.run(["git", "-C", str(folder), *arguments], check=True, capture_output=True, text=True)  # noqa: S603, S607
+    done = subprocess.run(["git", "-C", str(folder), *arguments], check=True, capture_output=True, text=True)
     return done.stdout.strip()

@@ -103,9 +103,7 @@ def plan(
     everywhere = dict(asked.pop("*", {}))
     unknown = [name for name in (*only, *asked) if name not in found]
     if unknown:
-        raise parameters.ParameterError(
-            f"no notebook {unknown[0]!r} in {folder}; allowed: {', '.join(found)}"
-        )
+        raise parameters.ParameterError(f"no notebook {unknown[0]!r} in {folder}; allowed: {', '.join(found)}")
     entry = manifest.profile(profile)
     tasks, used = [], set()
     for name, path in found.items():
@@ -123,9 +121,7 @@ def plan(
     return tasks
 
 
-def _scope(
-    manifest: Manifest, profile: str, values: Mapping[str, Any]
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _scope(manifest: Manifest, profile: str, values: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Datasets and methods that a notebook uses, read off its parameters."""
     entry = manifest.profile(profile)
 
@@ -142,12 +138,9 @@ def _scope(
 
 def prepare(manifest: Manifest, tasks: Sequence[Task], *, device: str | None = None) -> None:
     """Render or find every dataset and extract every descriptor that the tasks use, with progress bars."""
-    pairs = dict.fromkeys(
-        (dataset, method) for task in tasks for dataset in task.datasets for method in task.methods
-    )
+    pairs = dict.fromkeys((dataset, method) for task in tasks for dataset in task.datasets for method in task.methods)
     loaded = {
-        name: load_all(manifest, name)
-        for name in dict.fromkeys(name for task in tasks for name in task.datasets)
+        name: load_all(manifest, name) for name in dict.fromkeys(name for task in tasks for name in task.datasets)
     }
     for dataset, method in pairs:
         for traversal in loaded[dataset]:
@@ -194,9 +187,7 @@ def run(
     # A kernel of another environment must not be picked up from the user's Jupyter settings.
     os.environ |= {"JUPYTER_PREFER_ENV_PATH": "1", "JUPYTER_PATH": ""}
     shared = _shared_inputs(manifest)
-    fingerprints = {
-        name: _fingerprint(manifest, name) for name in dict.fromkeys(n for t in tasks for n in t.datasets)
-    }
+    fingerprints = {name: _fingerprint(manifest, name) for name in dict.fromkeys(n for t in tasks for n in t.datasets)}
     jobs = jobs or min(8, os.cpu_count() or 1)
     with (
         ThreadPoolExecutor(jobs) as pool,
@@ -204,9 +195,7 @@ def run(
     ):
 
         def one(task: Task) -> Outcome:
-            outcome = _run_one(
-                manifest, task, _key(manifest, task, shared, fingerprints), output, force=force
-            )
+            outcome = _run_one(manifest, task, _key(manifest, task, shared, fingerprints), output, force=force)
             bar.update()
             return outcome
 
@@ -229,9 +218,7 @@ def _run_one(manifest: Manifest, task: Task, key: str, output: Path, *, force: b
                 _execute(task, stored)
             except PapermillExecutionError as fault:
                 target.unlink(missing_ok=True)  # an older page must not pass for this run's
-                error = (
-                    f"notebooks/{task.path.name}: cell {fault.cell_index + 1}: {fault.ename}: {fault.evalue}"
-                )
+                error = f"notebooks/{task.path.name}: cell {fault.cell_index + 1}: {fault.ename}: {fault.evalue}"
                 return Outcome(task.name, key, False, time.monotonic() - begun, task.parameters, error)
             store.write_json(record, {"key": key, "seconds": round(time.monotonic() - begun, 3)})
         seconds = store.read_json(record)["seconds"]
@@ -247,9 +234,7 @@ def _execute(task: Task, stored: Path) -> None:
         try:
             jupytext.write(jupytext.read(task.path), source)
             with warnings.catch_warnings():
-                warnings.simplefilter(
-                    "ignore"
-                )  # of the Jupyter packages themselves; the notebook's own stay in it
+                warnings.simplefilter("ignore")  # of the Jupyter packages themselves; the notebook's own stay in it
                 papermill.execute_notebook(
                     source, temporary, parameters=task.parameters, kernel_name="python3", progress_bar=False,
                     cwd=task.path.parent, request_save_on_cell_execute=False,
@@ -277,10 +262,7 @@ def _strip(path: Path) -> None:
 
 
 def _key(manifest: Manifest, task: Task, shared: Mapping[str, Any], fingerprints: Mapping[str, Any]) -> str:
-    cells = [
-        [cell.cell_type, cell.source, cell.metadata.get("tags", [])]
-        for cell in jupytext.read(task.path).cells
-    ]
+    cells = [[cell.cell_type, cell.source, cell.metadata.get("tags", [])] for cell in jupytext.read(task.path).cells]
     return store.key(
         stage="notebook", cells=cells, parameters=task.parameters, shared=shared,
         datasets={name: fingerprints[name] for name in task.datasets},
@@ -291,12 +273,8 @@ def _key(manifest: Manifest, task: Task, shared: Mapping[str, Any], fingerprints
 def _shared_inputs(manifest: Manifest) -> dict[str, Any]:
     """What every notebook depends on: the library, the manifest's text and the versions that run it."""
     package = Path(__file__).resolve().parent
-    files = sorted(
-        p for p in package.rglob("*") if p.is_file() and p.suffix in (".py", ".csv", ".json", ".npy")
-    )
-    sources = dict(
-        zip((str(p.relative_to(package)) for p in files), store.digest_of_files(files), strict=True)
-    )
+    files = sorted(p for p in package.rglob("*") if p.is_file() and p.suffix in (".py", ".csv", ".json", ".npy"))
+    sources = dict(zip((str(p.relative_to(package)) for p in files), store.digest_of_files(files), strict=True))
     return {
         "sources": sources,
         "manifest": store.digest_of_file(manifest.path),

@@ -49,10 +49,7 @@ def ship(manifest: Manifest, dataset: str, methods: Iterable[str]) -> list[str]:
             path = folder / f"{traversal.name}-{method}.npy"
             with store.replacing(path) as temporary:
                 np.save(temporary, found.values.astype(np.float16))
-            kept = {
-                name: found.sidecar[name]
-                for name in ("key", "method", "traversal", "images", "shape", "torch")
-            }
+            kept = {name: found.sidecar[name] for name in ("key", "method", "traversal", "images", "shape", "torch")}
             digest = store.digest_of_file(path)
             store.write_json(path.with_suffix(".json"), {**kept, "dtype": "float16", "sha256": digest})
             written.append(str(path))

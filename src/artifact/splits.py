@@ -126,9 +126,7 @@ def split(
     """
     reserved = fraction if evaluation_fraction is None else 1 - evaluation_fraction
     if fraction > reserved + 1e-12:
-        raise ValueError(
-            f"fraction {fraction:g} and evaluation_fraction {evaluation_fraction:g} exceed 1 together"
-        )
+        raise ValueError(f"fraction {fraction:g} and evaluation_fraction {evaluation_fraction:g} exceed 1 together")
     everything = np.arange(len(query_positions))
     fit_queries = fit_region(query_positions, fraction, where)
     excluded = fit_region(query_positions, reserved, where)

@@ -147,9 +147,7 @@ def replacing(path: Path) -> Iterator[Path]:
 def write_json(path: Path, value: Any) -> None:
     """Write a value as readable JSON, whole or not at all."""
     with replacing(path) as temporary:
-        temporary.write_text(
-            json.dumps(value, indent=1, sort_keys=True, default=_jsonable) + "\n", encoding="utf-8"
-        )
+        temporary.write_text(json.dumps(value, indent=1, sort_keys=True, default=_jsonable) + "\n", encoding="utf-8")
 
 
 def read_json(path: Path) -> Any:

@@ -283,7 +283,9 @@ def _fitted(suppressor: str, X: np.ndarray, condition: np.ndarray, iterations: i
 
 
 def _parts(prefix: str, transform: LowRankMap) -> dict[str, np.ndarray]:
-    return {f"{prefix} {name}": part for name, part in zip(("left", "right", "offset"), transform.low_rank(), strict=True)}
+    return {
+        f"{prefix} {name}": part for name, part in zip(("left", "right", "offset"), transform.low_rank(), strict=True)
+    }
 
 
 def _key(stage: str, described: Sequence[Described], settings: Sequence[Any]) -> str:

@@ -75,9 +75,7 @@ class INLP(TransformerMixin, BaseEstimator):
         """
         X, condition = _checked_fit(X, condition)
         coordinates, lift = _coordinates(X, self.device)
-        basis, self.accuracies_, self.ends_ = _erased_directions(
-            coordinates, condition, self.n_iterations, self.seed
-        )
+        basis, self.accuracies_, self.ends_ = _erased_directions(coordinates, condition, self.n_iterations, self.seed)
         # One last orthonormalisation takes out the rounding of the lift; it keeps every leading subspace.
         directions, triangle = np.linalg.qr(lift(basis))
         self.directions_ = directions * np.where(np.diag(triangle) < 0, -1.0, 1.0)
@@ -150,9 +148,7 @@ def _coordinates(X: np.ndarray, device: Any) -> tuple[np.ndarray, Any]:
         return X.astype(np.float64), lambda basis: basis
     values, vectors = _spectrum(_gram(X, np.zeros(d), device))
     roots = np.sqrt(values)
-    return np.ascontiguousarray(vectors * roots), lambda basis: _combine(
-        X, np.zeros(d), (vectors / roots) @ basis
-    )
+    return np.ascontiguousarray(vectors * roots), lambda basis: _combine(X, np.zeros(d), (vectors / roots) @ basis)
 
 
 class LEACE(TransformerMixin, BaseEstimator):
@@ -315,24 +311,18 @@ class STD(BaseEstimator):
 def _checked_fit(X: np.ndarray, condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     X, condition = np.asarray(X), np.asarray(condition)
     if X.ndim != 2 or 0 in X.shape or X.dtype.kind != "f":
-        raise ValueError(
-            f"descriptors have the shape {X.shape} and type {X.dtype}; allowed: (n, d) of a float type"
-        )
+        raise ValueError(f"descriptors have the shape {X.shape} and type {X.dtype}; allowed: (n, d) of a float type")
     if condition.shape != (len(X),):
-        raise ValueError(
-            f"condition has the shape {condition.shape}; allowed: ({len(X)},), one per descriptor"
-        )
+        raise ValueError(f"condition has the shape {condition.shape}; allowed: ({len(X)},), one per descriptor")
     bad = np.flatnonzero(~np.isfinite(X.sum(axis=1, dtype=np.float64)))
     if bad.size:
         raise ValueError(f"row {bad[0]} of the descriptors has NaN or infinite values")
     names, counts = np.unique(condition, return_counts=True)
     if len(names) < 2:
-        raise ValueError(
-            f"all {len(X)} descriptors have the condition {names[0]}; at least two conditions are needed"
-        )
+        raise ValueError(f"all {len(X)} descriptors have the condition {names[0]}; at least two conditions are needed")
     if counts.min() < 2:
         raise ValueError(f"condition {names[counts.argmin()]} has one descriptor; at least two are needed")
-    if (X == X[:1]).all():
+    if (X[:1] == X).all():
         raise ValueError(f"all {len(X)} descriptors are the same; nothing can be fitted")
     return X, condition
 

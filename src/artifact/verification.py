@@ -41,9 +41,7 @@ def _verify_files(folder: Path) -> tuple[list[str], int]:
         for path in arrays:
             checked += 1
             if store.digest_of_file(path) != sidecar.get("sha256"):
-                faults.append(
-                    f"DAMAGED {path}: its content differs from its sidecar; delete both and run again"
-                )
+                faults.append(f"DAMAGED {path}: its content differs from its sidecar; delete both and run again")
     return [f"{folder}: {checked} stored results, {len(faults)} damaged", *faults], len(faults)
 
 

@@ -121,9 +121,7 @@ def load_traversal(manifest: Manifest, dataset: str, name: str) -> Traversal:
     """Load one traversal of a dataset; see :func:`load`."""
     entry = entry_of(manifest, dataset)
     if name not in entry.traversals:
-        raise ManifestError(
-            f"{dataset}: no traversal {name!r}; the traversals are {', '.join(entry.traversals)}"
-        )
+        raise ManifestError(f"{dataset}: no traversal {name!r}; the traversals are {', '.join(entry.traversals)}")
     loaders: dict[str, Callable[..., Traversal]] = {
         "folder": _load_folder, "gardens_point": _load_gardens_point, "city": _load_city,
     }  # fmt: skip

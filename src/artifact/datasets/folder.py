@@ -42,13 +42,10 @@ def list_images(folder: Path, image_list: Path | None = None) -> list[str]:
     names = [
         path.relative_to(folder).as_posix()
         for path in folder.rglob("*")
-        if path.suffix.lower() in IMAGE_SUFFIXES
-        and not any(p.startswith(".") for p in path.relative_to(folder).parts)
+        if path.suffix.lower() in IMAGE_SUFFIXES and not any(p.startswith(".") for p in path.relative_to(folder).parts)
     ]
     if not names:
-        raise DatasetError(
-            f"{folder}: no images in it; files with these endings count: {', '.join(IMAGE_SUFFIXES)}"
-        )
+        raise DatasetError(f"{folder}: no images in it; files with these endings count: {', '.join(IMAGE_SUFFIXES)}")
     return sorted(names, key=natural_order)
 
 
@@ -135,9 +132,7 @@ def positions_from_csv(path: Path, names: list[str]) -> tuple[np.ndarray, str]:
         try:
             table[name] = [float(value) for value in row[1:]]
         except ValueError:
-            raise DatasetError(
-                f"{path}:{line}: found {','.join(row[1:])!r}; positions must be numbers"
-            ) from None
+            raise DatasetError(f"{path}:{line}: found {','.join(row[1:])!r}; positions must be numbers") from None
     missing = [name for name in names if name not in table]
     if missing:
         raise DatasetError(f"{path}: no row for {len(missing)} of {len(names)} images, first {missing[0]!r}")

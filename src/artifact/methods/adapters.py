@@ -46,12 +46,8 @@ class MultiScaleAdapter(nn.Module):
         hidden, reduced = width // 2, width // 32
         self.D_fc1 = nn.Linear(width, hidden)
         self.branch1 = _ConvolutionUnit(hidden, hidden // 2, 1)
-        self.branch2 = nn.Sequential(
-            _ConvolutionUnit(hidden, reduced, 1), _ConvolutionUnit(reduced, hidden // 4, 3)
-        )
-        self.branch3 = nn.Sequential(
-            _ConvolutionUnit(hidden, reduced, 1), _ConvolutionUnit(reduced, hidden // 4, 5)
-        )
+        self.branch2 = nn.Sequential(_ConvolutionUnit(hidden, reduced, 1), _ConvolutionUnit(reduced, hidden // 4, 3))
+        self.branch3 = nn.Sequential(_ConvolutionUnit(hidden, reduced, 1), _ConvolutionUnit(reduced, hidden // 4, 5))
         self.D_fc2 = nn.Linear(hidden, width)
 
     def forward(self, x: torch.Tensor, grid: tuple[int, int]) -> torch.Tensor:

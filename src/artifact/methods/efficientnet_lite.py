@@ -84,9 +84,7 @@ class EfficientNetLite0(nn.Module):
         channels = _STEM
         for repeats, kernel, stride, expansion, out in _STAGES:
             for index in range(repeats):
-                self._blocks.append(
-                    _InvertedResidual(channels, out, kernel, stride if index == 0 else 1, expansion)
-                )
+                self._blocks.append(_InvertedResidual(channels, out, kernel, stride if index == 0 else 1, expansion))
                 channels = out
         self._conv_head = nn.Conv2d(channels, _HEAD, 1, bias=False)
         self._bn1 = _normalisation(_HEAD)
@@ -113,9 +111,7 @@ def weights_path() -> Path:
     """
     spec = find_spec(_WEIGHTS_PACKAGE)
     path = (
-        Path(spec.submodule_search_locations[0]) / _WEIGHTS_FILE
-        if spec and spec.submodule_search_locations
-        else None
+        Path(spec.submodule_search_locations[0]) / _WEIGHTS_FILE if spec and spec.submodule_search_locations else None
     )
     if path is None or not path.is_file():
         raise FileNotFoundError(

@@ -39,9 +39,7 @@ class HOG(nn.Module):
                 f"multiples of {self.cell}, at least {2 * self.cell}"
             )
         cells = functional.avg_pool2d(self._orientation_maps(images), self.cell)
-        blocks = torch.cat(
-            [cells[:, :, :-1, :-1], cells[:, :, :-1, 1:], cells[:, :, 1:, :-1], cells[:, :, 1:, 1:]], 1
-        )
+        blocks = torch.cat([cells[:, :, :-1, :-1], cells[:, :, :-1, 1:], cells[:, :, 1:, :-1], cells[:, :, 1:, 1:]], 1)
         blocks = functional.normalize(blocks, dim=1, eps=1e-6).clamp(max=_CLIP)
         blocks = functional.normalize(blocks, dim=1, eps=1e-6)
         return functional.normalize(blocks.flatten(1), dim=-1)

@@ -74,8 +74,7 @@ def check_images(
 def _check_tensor(images: torch.Tensor, weight: torch.Tensor, name: str) -> None:
     if not isinstance(images, torch.Tensor):
         raise ValueError(
-            f"{name} takes a torch.Tensor of images; found {type(images).__name__}. "
-            "Stack the images with torch.stack."
+            f"{name} takes a torch.Tensor of images; found {type(images).__name__}. Stack the images with torch.stack."
         )
     if images.ndim != 4 or images.shape[1] != 3 or len(images) == 0:
         raise ValueError(

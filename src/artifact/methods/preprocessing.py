@@ -24,9 +24,7 @@ def prepare(image: Image.Image, preprocessing: Preprocessing) -> torch.Tensor:
     if preprocessing.library == "pillow" and size != (image.height, image.width):
         image = image.resize(size[::-1], _PILLOW_FILTERS[preprocessing.interpolation])
     array = np.asarray(image)
-    tensor = (
-        torch.from_numpy(array.reshape(image.height, image.width, -1).copy()).permute(2, 0, 1).float() / 255
-    )
+    tensor = torch.from_numpy(array.reshape(image.height, image.width, -1).copy()).permute(2, 0, 1).float() / 255
     if preprocessing.library == "tensor" and tuple(tensor.shape[-2:]) != size:
         tensor = functional.interpolate(
             tensor[None],
@@ -36,9 +34,7 @@ def prepare(image: Image.Image, preprocessing: Preprocessing) -> torch.Tensor:
             antialias=preprocessing.antialias,
         )[0]
     tensor = _centre_crop(tensor, preprocessing.crop_to_multiple_of)
-    mean, std = (
-        torch.tensor(v, dtype=torch.float32).view(-1, 1, 1) for v in (preprocessing.mean, preprocessing.std)
-    )
+    mean, std = (torch.tensor(v, dtype=torch.float32).view(-1, 1, 1) for v in (preprocessing.mean, preprocessing.std))
     return ((tensor - mean) / std).contiguous()
 
 

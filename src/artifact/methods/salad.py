@@ -23,9 +23,7 @@ _TOKEN = 256
 _ITERATIONS = 3
 
 
-def assign_by_transport(
-    scores: torch.Tensor, dustbin: torch.Tensor, iterations: int = _ITERATIONS
-) -> torch.Tensor:
+def assign_by_transport(scores: torch.Tensor, dustbin: torch.Tensor, iterations: int = _ITERATIONS) -> torch.Tensor:
     """Assign patches softly to clusters by Sinkhorn's algorithm, with a dustbin.
 
     The transport plan over m clusters and the dustbin is exp(scores), its rows scaled to sum to 1 per

@@ -40,8 +40,7 @@ class _BranchedTransformer(VisionTransformer):
         for index, block in enumerate(self.blocks[-_ADAPTERS:]):
             tokens = block(tokens)
             states = [
-                state + branch[index](state + tokens, grid)
-                for state, branch in zip(states, adapters, strict=True)
+                state + branch[index](state + tokens, grid) for state, branch in zip(states, adapters, strict=True)
             ]
         return [self.norm(state) for state in states]
 

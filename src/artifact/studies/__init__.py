@@ -15,7 +15,6 @@ from artifact.studies.retrieval import (
     recall_table,
     with_means,
 )
-
 from artifact.studies.suppression import (
     fitting_fraction,
     improved,

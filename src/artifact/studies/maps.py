@@ -201,5 +201,8 @@ def _key(stage: str, described: Described, settings: list[Any]) -> str:
     from artifact import ranking, suppression
 
     return store.key(
-        stage=stage, revisions=[ranking.REVISION, suppression.REVISION], inputs=described.key_inputs(), settings=settings
+        stage=stage,
+        revisions=[ranking.REVISION, suppression.REVISION],
+        inputs=described.key_inputs(),
+        settings=settings,
     )

@@ -70,11 +70,7 @@ def methods_table(manifest: Manifest, names: Iterable[str], methods: Iterable[st
             for dataset in loaded
             for traversal in dataset.traversals.values()
         ]
-        timed = [
-            one.sidecar
-            for one in {one.key: one for one in found}.values()
-            if one.sidecar.get("forward_seconds")
-        ]
+        timed = [one.sidecar for one in {one.key: one for one in found}.values() if one.sidecar.get("forward_seconds")]
         forward = sum(sidecar["forward_seconds"] for sidecar in timed)
         wall = sum(sidecar["seconds"] for sidecar in timed)
         rows.append(
@@ -197,16 +193,12 @@ def distractor_number(
         One row per method and ratio: ``method``, ``ratio``, ``DAR`` (exact expectation over random subsets, in
         percent), ``draw_low`` and ``draw_high`` (lowest and highest of the nested random draws), ``reported``.
     """
-    curves = (
-        _reported_curves("fig06_number", "ratio") if is_reported(manifest, dataset, "robotcar", k) else {}
-    )
+    curves = _reported_curves("fig06_number", "ratio") if is_reported(manifest, dataset, "robotcar", k) else {}
     rows, inputs = [], []
     for method in methods:
         measured = pipeline.evaluation(manifest, dataset, method, seed=seed)
         draws = measured.evaluation.dar_by_ratio_draws(ratios, k)
-        for index, (ratio, value) in enumerate(
-            zip(ratios, measured.evaluation.dar_by_ratio(ratios, k), strict=True)
-        ):
+        for index, (ratio, value) in enumerate(zip(ratios, measured.evaluation.dar_by_ratio(ratios, k), strict=True)):
             rows.append(
                 {
                     "method": method,
@@ -246,9 +238,7 @@ def distractor_distance(
         measured = pipeline.evaluation(manifest, dataset, method, seed=seed)
         for distance, value in zip(distances, measured.evaluation.dar_by_distance(distances, k), strict=True):
             reported = curves.get((method, round(float(distance), 6)), np.nan)
-            rows.append(
-                {"method": method, "distance": float(distance), "DAR": PERCENT * value, "reported": reported}
-            )
+            rows.append({"method": method, "distance": float(distance), "DAR": PERCENT * value, "reported": reported})
         inputs += measured.inputs
     return Study(pd.DataFrame(rows), tuple(inputs))
 
@@ -287,12 +277,8 @@ def distractor_condition(
         curves = _reported_curves("fig07", "distractor_condition")
     rows, inputs = [], []
     for method in methods:
-        measured = pipeline.evaluation(
-            manifest, dataset, method, distractors=names, pool_size=size, seed=seed
-        )
-        shares = {
-            name: (entry.traversals[name].condition, measured.evaluation.pool(name).dar(k)) for name in names
-        }
+        measured = pipeline.evaluation(manifest, dataset, method, distractors=names, pool_size=size, seed=seed)
+        shares = {name: (entry.traversals[name].condition, measured.evaluation.pool(name).dar(k)) for name in names}
         shares["none"] = ("none", measured.evaluation.recall(k))
         for name, (condition, value) in shares.items():
             rows.append(
@@ -313,6 +299,5 @@ def _reported_curves(table: str, x: str) -> dict[tuple[str, Any], float]:
     frame = paper.reported(table)
     keys = frame[x] if frame[x].dtype == object or str(frame[x].dtype) == "str" else frame[x].round(6)
     return {
-        (method, key): value
-        for method, key, value in zip(frame["method"], keys, frame["dar_percent"], strict=True)
+        (method, key): value for method, key, value in zip(frame["method"], keys, frame["dar_percent"], strict=True)
     }

@@ -124,7 +124,9 @@ def fitting_fraction(
     for name in names:
         title = data.entry_of(manifest, name).title
         for method in methods:
-            found, described = suppressed.by_fraction(manifest, name, method, positive, iterations=iterations, seed=seed)
+            found, described = suppressed.by_fraction(
+                manifest, name, method, positive, iterations=iterations, seed=seed
+            )
             before = found[ORIGINAL, 0.0]
             for suppressor in METHODS:
                 for fraction in (0.0, *positive):
@@ -187,10 +189,17 @@ def single_against_multi(
                 region = suppressed.split_of(one, fraction)
                 views = {"single": erasure.single[name], "multi": erasure.composed}
                 found = suppressed.evaluate_region(one, region, views, seed=seed)
-                row: dict[str, Any] = {"suppression": suppressor, "dataset": name, "title": one.dataset.title, "method": method}
+                row: dict[str, Any] = {
+                    "suppression": suppressor,
+                    "dataset": name,
+                    "title": one.dataset.title,
+                    "method": method,
+                }
                 for view in views:
                     row |= {f"{view}_R": PERCENT * found[view].recall(k), f"{view}_DAR": PERCENT * found[view].dar(k)}
-                row |= {f"difference_{metric}": row[f"single_{metric}"] - row[f"multi_{metric}"] for metric in ("R", "DAR")}
+                row |= {
+                    f"difference_{metric}": row[f"single_{metric}"] - row[f"multi_{metric}"] for metric in ("R", "DAR")
+                }
                 rows.append(row)
                 inputs += one.inputs
     return Study(pd.DataFrame(rows), tuple(inputs))
@@ -235,7 +244,13 @@ def irrelevant_conditions(
                 pair = "–".join(conditions) if len(set(conditions)) > 1 else f"{query}–{database}"
                 for suppressor in LOW_RANK:
                     before, after = result, result[suppressor]
-                    row: dict[str, Any] = {"suppression": suppressor, "pair": pair, "dataset": name, "title": entry.title, "method": method}
+                    row: dict[str, Any] = {
+                        "suppression": suppressor,
+                        "pair": pair,
+                        "dataset": name,
+                        "title": entry.title,
+                        "method": method,
+                    }
                     row |= {"original_R": PERCENT * before.recall(k), "original_DAR": PERCENT * before.dar(k)}
                     row |= {"erased_R": PERCENT * after.recall(k), "erased_DAR": PERCENT * after.dar(k)}
                     row |= {f"difference_{m}": row[f"original_{m}"] - row[f"erased_{m}"] for m in ("R", "DAR")}

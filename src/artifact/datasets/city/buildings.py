@@ -293,7 +293,9 @@ def rectangle(centre: np.ndarray, yaw: float, length: float, width: float) -> np
     """
     along = np.array([np.cos(yaw), np.sin(yaw)]) * length / 2
     across = np.array([-np.sin(yaw), np.cos(yaw)]) * width / 2
-    return np.array([centre - along - across, centre + along - across, centre + along + across, centre - along + across])
+    return np.array(
+        [centre - along - across, centre + along - across, centre + along + across, centre - along + across]
+    )
 
 
 def wall_between(a: np.ndarray, b: np.ndarray, thickness: float, **properties: object) -> Building:

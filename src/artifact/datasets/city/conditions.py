@@ -146,7 +146,14 @@ CONDITIONS = {
         ),
         _NIGHT,
         replace(
-            _NIGHT, name="night_grey", noise=0.025, exposure=2.6, tint=(1.0, 1.0, 1.0), lit=0.2, blur=0.45, contrast=1.06
+            _NIGHT,
+            name="night_grey",
+            noise=0.025,
+            exposure=2.6,
+            tint=(1.0, 1.0, 1.0),
+            lit=0.2,
+            blur=0.45,
+            contrast=1.06,
         ),
         replace(
             _OVERCAST,

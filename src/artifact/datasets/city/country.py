@@ -108,7 +108,11 @@ def _lineside(line: Line, start: int, stop: int, side: float, rng: np.random.Gen
         shared |= {"height": 1.15, "material": Material.FENCE, "wall": choose(rng, palette.SIDING)}
         thickness = 0.12
     elif style < 0.8:
-        shared |= {"height": float(rng.uniform(0.8, 1.4)), "material": Material.STONE, "wall": choose(rng, palette.STONE)}
+        shared |= {
+            "height": float(rng.uniform(0.8, 1.4)),
+            "material": Material.STONE,
+            "wall": choose(rng, palette.STONE),
+        }
     else:  # a retaining wall, as in a cutting
         material = Material.BRICK if rng.random() < 0.5 else Material.STONE
         table = palette.BRICK if material == Material.BRICK else palette.STONE
@@ -180,7 +184,12 @@ def furnish_country(stock: Stock, plan: Plan, buildings: list[Building], track: 
         for _ in range(count):
             k = int(rng.integers(6, len(track) - 6))
             close = name in ("wagon", "hut")
-            p = line.beside(k, float(rng.uniform(5.0, 5.6) if name == "wagon" else rng.uniform(5, 8) if close else rng.uniform(18, 40)))
+            p = line.beside(
+                k,
+                float(
+                    rng.uniform(5.0, 5.6) if name == "wagon" else rng.uniform(5, 8) if close else rng.uniform(18, 40)
+                ),
+            )
             if near_house.query(p)[0] > (7.5 if close else 11):
                 colour = choose(rng, palette.BRICK if name == "wagon" else palette.CONCRETE)
                 stock.things.add(name, *p, line.yaw(k), colour=colour, second=choose(rng, palette.ROOF))

@@ -87,7 +87,10 @@ def _mural(house, u, z, length, r, g, b):
     """Paint large coloured discs and beams on a blind wall."""
     for k in range(5):
         a = hash3(house.seed, float(k), 81.0)
-        x, y = u - hash3(house.seed, float(k), 82.0) * length, z - (0.25 + 0.65 * hash3(house.seed, float(k), 83.0)) * house.height
+        x, y = (
+            u - hash3(house.seed, float(k), 82.0) * length,
+            z - (0.25 + 0.65 * hash3(house.seed, float(k), 83.0)) * house.height,
+        )
         inside = x * x + y * y < (1.0 + 2.6 * a) ** 2 if k < 3 else abs(x + (a - 0.5) * 2.0 * y) < 0.5
         if inside:
             hue = hash3(house.seed, float(k), 84.0)
@@ -117,7 +120,9 @@ def opening_at(house, side, u, z):
             return GATE, u - 0.5 * length, z, min(1.5, 0.36 * length), min(2.7, 0.8 * house.ground_height), 0.0, step
         if house.ground == 3:
             return ARCADE, x, z, 0.5 * step - 0.28, house.ground_height - 0.5, float(column), step
-        if column == np.int64(hash3(seed, float(side), 13.0) * bays) and (side == 0 or hash3(seed, float(side), 19.0) < 0.5):
+        if column == np.int64(hash3(seed, float(side), 13.0) * bays) and (
+            side == 0 or hash3(seed, float(side), 19.0) < 0.5
+        ):
             return DOOR, x, z, 0.52, 2.25, float(column), step
         tall = min(house.window_height, house.ground_height - 1.5)
         sill = max(0.95, house.ground_height - 0.8 - tall)
@@ -212,7 +217,9 @@ def facade(house, side, u, z, fu, fz, light):
         trim = max(trim, edge * (0.85 - 0.3 * stripes(z, 0.45, 0.04, fz)))
     r, g, b = mix(r, g, b, house.trim, trim)
     if ornament & IVY and front:
-        cover_share = smooth(0.52, 0.60, cloud_noise(u * 0.32 + seed % 89.0, z * 0.28, seed, 3.0) + 0.30 * (0.45 - z / height))
+        cover_share = smooth(
+            0.52, 0.60, cloud_noise(u * 0.32 + seed % 89.0, z * 0.28, seed, 3.0) + 0.30 * (0.45 - z / height)
+        )
         leaves = (0.35 + 1.3 * noise2(u * 6.0, z * 6.0, seed)) if fu < 0.4 else 1.0
         bare = 1.0 - light.foliage
         cover_share *= 1.0 - 0.6 * bare

@@ -224,7 +224,9 @@ def _furnish_site(c: Collector, site: Site, rng: np.random.Generator) -> None:
         paths = park_paths(site)
         for p in _clear_points(site, 75, 3.5, rng):
             if min(abs(_across(p, a, b)) for a, b in paths) > 2.6 and np.linalg.norm(p - middle) > 6:
-                species = Species(rng.choice([Species.PLANE, Species.LINDEN, Species.BIRCH, Species.SHRUB, Species.SPRUCE]))
+                species = Species(
+                    rng.choice([Species.PLANE, Species.LINDEN, Species.BIRCH, Species.SHRUB, Species.SPRUCE])
+                )
                 c.tree(p, species, rng.uniform(0.7, 1.15), rng)
         for a, b in paths:
             u = (b - a) / np.linalg.norm(b - a)
@@ -318,7 +320,9 @@ def _furnish_house(c: Collector, b: Building, rng: np.random.Generator) -> None:
         k = int(rng.integers(bays))
         for floor in range(max(1, floors - 1)):
             z = b.ground_height + floor * b.floor_height + 0.1
-            c.things.add("oriel", *bay[k], yaw, z=z, scale=(1.0, 0.85, b.floor_height / 3.0), colour=b.wall * np.float64(0.95))
+            c.things.add(
+                "oriel", *bay[k], yaw, z=z, scale=(1.0, 0.85, b.floor_height / 3.0), colour=b.wall * np.float64(0.95)
+            )
     _furnish_roof(c, b, bay, u, n, yaw, rng)
 
 

@@ -117,10 +117,11 @@ def raise_buildings(buildings, west, south, rows, columns):
             x0, x1 = min(x0, house.corners[k, 0]), max(x1, house.corners[k, 0])
             y0, y1 = min(y0, house.corners[k, 1]), max(y1, house.corners[k, 1])
         for j in range(max(0, int((y0 - south) / HEIGHT_CELL)), min(rows - 1, int((y1 - south) / HEIGHT_CELL)) + 1):
-            for i in range(max(0, int((x0 - west) / HEIGHT_CELL)), min(columns - 1, int((x1 - west) / HEIGHT_CELL)) + 1):
+            for i in range(
+                max(0, int((x0 - west) / HEIGHT_CELL)), min(columns - 1, int((x1 - west) / HEIGHT_CELL)) + 1
+            ):
                 z = roof_at(house, west + (i + 0.5) * HEIGHT_CELL, south + (j + 0.5) * HEIGHT_CELL)
-                if z > heights[j, i]:
-                    heights[j, i] = z
+                heights[j, i] = max(heights[j, i], z)
     return heights
 
 

@@ -88,7 +88,9 @@ def _track(s, d, foot_s, foot_d, x, y, light):
     sleeper = stripes(s, 0.65, 0.25, foot_s) * cover(d, 1.3, foot_d)
     r, g, b = r + sleeper * (0.075 - r), g + sleeper * (0.062 - g), b + sleeper * (0.05 - b)
     cleared = 0.45 * smooth(1.3, 0.5, abs(d)) + 0.25 * sleeper + 0.5 * (1.0 - light.snow)
-    white = 0.93 * smooth(0.25, 0.5, cloud_noise(x * 1.3, y * 1.3, 14.0, 2.0) + 0.3 - cleared) if light.snow > 0.0 else 0.0
+    white = (
+        0.93 * smooth(0.25, 0.5, cloud_noise(x * 1.3, y * 1.3, 14.0, 2.0) + 0.3 - cleared) if light.snow > 0.0 else 0.0
+    )
     r, g, b = r + white * (0.72 - r), g + white * (0.75 - g), b + white * (0.8 - b)
     shade = cover(abs(d) - 0.75, 0.1, foot_d)
     r, g, b = r * (1 - 0.5 * shade), g * (1 - 0.5 * shade), b * (1 - 0.5 * shade)
@@ -275,7 +277,17 @@ def paint_ground(view_record, light_record, world_record, streets, table, zones,
         wide = SAMPLES * f.depth / view.focal
         long = wide * reach * f.depth / view.z
         r, g, b, shine = _ground(
-            world, streets, table, zones, light, np.float64(f.x), np.float64(f.y), f.ray_x / reach, f.ray_y / reach, long, wide
+            world,
+            streets,
+            table,
+            zones,
+            light,
+            np.float64(f.x),
+            np.float64(f.y),
+            f.ray_x / reach,
+            f.ray_y / reach,
+            long,
+            wide,
         )
         f.red, f.green, f.blue, f.nz = r, g, b, 1.0
         mirror[f.row, f.column] += f.share * shine

@@ -203,7 +203,10 @@ def _villa_lot(lot: np.ndarray, rng: np.random.Generator) -> list[Building]:
         gate = float(rng.uniform(0.25, 0.75)) * width
         thickness = 0.15 if fence["material"] == Material.FENCE else 0.45
         shared = {"seed": int(rng.integers(1 << 30)), "tags": frozenset({"fence"}), **fence}
-        for a, b in ((start + 0.2 * along, start + (gate - 1.6) * along), (start + (gate + 1.6) * along, end - 0.2 * along)):
+        for a, b in (
+            (start + 0.2 * along, start + (gate - 1.6) * along),
+            (start + (gate + 1.6) * along, end - 0.2 * along),
+        ):
             if (b - a) @ along > 0.6:
                 found.append(wall_between(a, b, thickness, **shared))
     return found
@@ -242,8 +245,14 @@ def _park(block: Block, rng: np.random.Generator) -> list[Building]:
         for start, end in ((0.1, 0.44), (0.56, 0.9)):
             found.append(
                 wall_between(
-                    a + start * (b - a), a + end * (b - a), 0.8, height=1.1, wall=(0.03, 0.055, 0.018),
-                    roof=(0.04, 0.07, 0.02), material=Material.HEDGE, tags=frozenset({"fence"}),
+                    a + start * (b - a),
+                    a + end * (b - a),
+                    0.8,
+                    height=1.1,
+                    wall=(0.03, 0.055, 0.018),
+                    roof=(0.04, 0.07, 0.02),
+                    material=Material.HEDGE,
+                    tags=frozenset({"fence"}),
                 )  # fmt: skip
             )
     return found

@@ -124,7 +124,9 @@ def _car(profile: list[tuple[float, float]], glass: list[bool], belt: float, hal
             model.outward(Surface.PAINT, side(*middle, sign), side(*p, sign), side(*q, sign))
         low, y = profile[0][1] - 0.03, sign * (half + 0.012)
         ends = (profile[0][0] - 0.1, profile[-1][0] + 0.1)
-        model.outward(Surface.RUBBER, (ends[0], y, low), (ends[0], y, low + 0.16), (ends[1], y, low + 0.16), (ends[1], y, low))
+        model.outward(
+            Surface.RUBBER, (ends[0], y, low), (ends[0], y, low + 0.16), (ends[1], y, low + 0.16), (ends[1], y, low)
+        )
         _cabin_side(model, cabin, side, sign)
         for x in wheels:
             _wheel(model, x, sign * (half + 0.01), sign)
@@ -304,9 +306,7 @@ def _oriel() -> _Model:
         low = (x0 + (x1 - x0) * a, y0 + (y1 - y0) * a), (x0 + (x1 - x0) * b, y0 + (y1 - y0) * b)
         out = 0.02
         (xa, ya), (xb, yb) = low
-        model.face(
-            Surface.WINDOW, (xa + out, ya, 0.7), (xb + out, yb, 0.7), (xb + out, yb, 2.2), (xa + out, ya, 2.2)
-        )
+        model.face(Surface.WINDOW, (xa + out, ya, 0.7), (xb + out, yb, 0.7), (xb + out, yb, 2.2), (xa + out, ya, 2.2))
     for k in range(3):
         (x0, y0), (x1, y1) = ring[k], ring[k + 1]
         model.face(Surface.TRIM, (x0 * 1.1, y0, h), (x1 * 1.1, y1, h), (0, 0, h + 0.35))

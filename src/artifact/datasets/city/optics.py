@@ -23,7 +23,11 @@ def trace_shadows(view_record, light_record, things, models, surface, depth, blo
     for i in range(len(things)):
         thing = things[i]
         model = models[thing.model]
-        if thing.z > 0.01 or model.top > 3.2 or model.last_face - model.first_face + model.last_rod - model.first_rod < 4:
+        if (
+            thing.z > 0.01
+            or model.top > 3.2
+            or model.last_face - model.first_face + model.last_rod - model.first_rod < 4
+        ):
             continue
         car = thing.model < N_CARS
         half_x, half_y, top = (2.15, 0.86, 1.2) if car else (0.3, 0.3, min(1.6, model.top))
@@ -114,8 +118,7 @@ def mirror_ground(view_record, light_record, depth, mirror, image):
             spread = 0.6 + 0.05 * below
             for k in range(-2, 3):
                 at = np.int64(target + k * spread)
-                if at < 0:
-                    at = 0
+                at = max(at, 0)
                 if at < row:
                     w = 3.0 - abs(k)
                     r, g, b = r + w * source[at, side, 0], g + w * source[at, side, 1], b + w * source[at, side, 2]

@@ -192,7 +192,9 @@ def _draw_rod(view, light, rod, u0, v0, w0, d0, u1, v1, w1, d1, r, g, b, sun, de
         s = min(1.0, max(0.0, (p + 0.5 - a0) / length))
         centre, half = c0 + s * (c1 - c0), (w0 + s * (w1 - w0)) * tilt
         far = 1.0 / (1.0 / d0 + s * (1.0 / d1 - 1.0 / d0))
-        for q in range(max(0, np.int64(np.floor(centre - half))), min(across - 1, np.int64(np.floor(centre + half))) + 1):
+        for q in range(
+            max(0, np.int64(np.floor(centre - half))), min(across - 1, np.int64(np.floor(centre + half))) + 1
+        ):
             share = cover(q + 0.5 - centre, half, 1.0) * along
             if share <= 0.002:
                 continue

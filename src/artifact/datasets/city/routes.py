@@ -76,7 +76,9 @@ def junctions_of(route: str) -> list[tuple[int, int]]:
     found = [stops[0]]
     for name, a, b in zip(names[1:], stops, stops[1:], strict=False):
         if a == b or (a[0] != b[0] and a[1] != b[1]):
-            raise ValueError(f"route {route!r}: the leg to {name} does not follow a street (same letter or same number)")
+            raise ValueError(
+                f"route {route!r}: the leg to {name} does not follow a street (same letter or same number)"
+            )
         while found[-1] != b:
             i, j = found[-1]
             found.append((i + int(np.sign(b[0] - i)), j + int(np.sign(b[1] - j))))
@@ -167,7 +169,10 @@ def place_poses(plan: Plan, buildings: np.ndarray, count: int) -> list[Pose]:
     """
     rng = np.random.default_rng([plan.seed, 21])
     corners = buildings["corners"]
-    centre, reach = corners.mean(axis=1), np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
+    centre, reach = (
+        corners.mean(axis=1),
+        np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1),
+    )
     edges = plan.edges()
     found: list[Pose] = []
     for _ in range(60 * count):

@@ -249,11 +249,7 @@ def railway(plan: Plan, spacing: float) -> np.ndarray:
     turn = np.linspace(0, 2 * np.pi, len(ring))
     tangent = np.gradient(ring, axis=0)
     normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / np.linalg.norm(tangent, axis=1)[:, None]
-    wave = (
-        5.0 * np.sin(5 * turn + phase[0])
-        + 3.0 * np.sin(9 * turn + phase[1])
-        + 4.0 * np.sin(3 * turn + phase[2])
-    )
+    wave = 5.0 * np.sin(5 * turn + phase[0]) + 3.0 * np.sin(9 * turn + phase[1]) + 4.0 * np.sin(3 * turn + phase[2])
     wave -= np.linspace(0, 1, len(ring)) * (wave[-1] - wave[0])
     return resample(ring + wave[:, None] * normal, spacing)
 

@@ -178,6 +178,10 @@ def _thing_look(thing, surface, light, x, y, z, nz):
         bloom = 1.0 if noise2(9.0 * x + thing.x, 9.0 * (y + 0.7 * z), 9.0) > 0.66 else 0.0
         bloom *= light.foliage
         r, g, b = 0.06 * value * light.leaf[0], 0.11 * value * light.leaf[1], 0.025 * value * light.leaf[2]
-        r, g, b = r + bloom * (thing.second[0] - r), g + bloom * (thing.second[1] - g), b + bloom * (thing.second[2] - b)
+        r, g, b = (
+            r + bloom * (thing.second[0] - r),
+            g + bloom * (thing.second[1] - g),
+            b + bloom * (thing.second[2] - b),
+        )
         return r, g, b, 0.0, 0.0, 0.0, 0.0, 1.0
     return 0.028, 0.028, 0.03, 0.0, 0.0, 0.0, 0.0, 0.6

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .buildings import Building, as_records, historical
+from .country import country_buildings
 from .furnish import Furniture, furnish, park_paths
 from .grids import (
     BUILDING_CELL,
@@ -25,7 +26,6 @@ from .grids import (
     street_table,
     zone_map,
 )
-from .country import country_buildings
 from .lots import Site, Zone, build_sites, canal_walls
 from .records import layout, record
 from .streets import MARGIN, Plan, inset, make_plan, railway, street_pieces

@@ -38,7 +38,9 @@ def standing(parking: np.ndarray, pavements: np.ndarray, crowd: Crowd, seed: int
         name = CARS[min(3, int(draw[1] * 3.25))]
         colour = palette.CAR[int(draw[2] * len(palette.CAR))] if name != "van" or draw[3] < 0.4 else palette.CAR[1]
         turned = heading + (np.pi if draw[4] < 0.07 else 0.0) + 0.03 * (draw[5] - 0.5)
-        things.add(name, x + 0.3 * (draw[3] - 0.5), y + 0.3 * (draw[4] - 0.5), turned, colour=colour, seed=int(1e6 * draw[5]))
+        things.add(
+            name, x + 0.3 * (draw[3] - 0.5), y + 0.3 * (draw[4] - 0.5), turned, colour=colour, seed=int(1e6 * draw[5])
+        )
     clothes = palette.OLD_CLOTHES if crowd.past else palette.CLOTHES
     for x, y, heading in pavements:
         draw = rng.random(4)

@@ -10,8 +10,8 @@ from .frame import Mood, Traced, expose, light_of, near_things, shade, trace
 from .models import CARS
 from .routes import PLACES, RAILWAY, STREETS, Path, drive_path, junctions_of, place_poses, railway_path, street_poses
 from .town import Town, make_town
-from .traffic import Crowd, moving, standing
 from .trace import BUILDING, LEAF
+from .traffic import Crowd, moving, standing
 from .view import CAMERAS, Camera, Pose
 
 
@@ -83,7 +83,9 @@ class CityTraversal:
             raise ValueError(f"start and wander must not be negative, not {self.start!r} and {self.wander!r}")
         lateral = CAMERAS[self.camera].lateral
         if (self.route == RAILWAY) != (lateral == "track"):
-            raise ValueError(f"route {RAILWAY!r} and camera 'train' go together, not {self.route!r} and {self.camera!r}")
+            raise ValueError(
+                f"route {RAILWAY!r} and camera 'train' go together, not {self.route!r} and {self.camera!r}"
+            )
         if (self.route == PLACES) != (lateral == "free"):
             free = [name for name, camera in CAMERAS.items() if camera.lateral == "free"]
             raise ValueError(f"route {PLACES!r} goes with a camera of {free}, not {self.route!r} with {self.camera!r}")
