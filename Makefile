@@ -18,6 +18,7 @@ help: ## show this help
 	@echo
 	@echo "PROFILE=demo              profile of data_manifest.yaml for reproduce, data, extract, verify, status"
 	@echo "SET='k=5 fig06.seed=1'    notebook parameters for reproduce, for all notebooks or one"
+	@echo "DEVICES=cuda:0,cuda:1     devices of extract (all: every CUDA device); PRECISION=bfloat16 mixed precision"
 	@echo "ARTIFACT_DATA_ROOT=DIR    folder of the real datasets; ARTIFACT_CACHE=DIR folder of stored results"
 
 setup: $(VENV)/.ready ## create the environment only
@@ -34,8 +35,9 @@ book: $(VENV)/.ready ## build the book from the executed notebooks, running none
 data: $(VENV)/.ready ## make the datasets of a profile ready, say which are missing and how to obtain them
 	@$(RUN) data --profile $(PROFILE)
 
-extract: $(VENV)/.ready ## extract the descriptors of a profile
-	@$(RUN) extract --profile $(PROFILE)
+extract: $(VENV)/.ready ## extract the descriptors of a profile; with DRY_RUN=1 say what that takes
+	@$(RUN) extract --profile $(PROFILE) $(if $(filter-out 0 no,$(DRY_RUN)),--dry-run) \
+		$(if $(DEVICES),--devices $(DEVICES)) $(if $(PRECISION),--precision $(PRECISION))
 
 verify: $(VENV)/.ready ## check stored results against their sidecars and measurements against the paper
 	@$(RUN) verify --profile $(PROFILE)

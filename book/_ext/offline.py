@@ -2,7 +2,7 @@
 
 Formulas: the one MathJax file that the pages use is served from the book itself. Fonts: the theme asks browsers to
 preload its icon fonts with a cross-origin request, which browsers refuse for pages opened from a folder; the fonts
-load without it.
+load without it. Live code: its scripts are in every page, can be there twice (which is an error), and need a server.
 """
 
 import re
@@ -11,11 +11,18 @@ from importlib.metadata import files
 from pathlib import Path
 
 SCRIPT = "tex-svg.js"
-FONT_PRELOAD = re.compile(r'<link rel="preload" as="font"[^>]*>\s*')
+UNWANTED = re.compile(
+    r'<link rel="preload" as="font"[^>]*>\s*'
+    r'|<link [^>]*sphinx-thebe[^>]*>\s*'
+    r'|<script[^>]*sphinx-thebe[^>]*></script>\s*'
+    r'|<script>const THEBE_JS_URL.*?</script>\s*'
+    r'|<script type="text/x-thebe-config">.*?</script>\s*',
+    re.DOTALL,
+)
 
 
 def finish(app, exception):
-    """Copy MathJax and drop the font preloads once the pages are written."""
+    """Copy MathJax and drop what needs a server once the pages are written."""
     if exception is not None or app.builder.format != "html":
         return
     output = Path(app.outdir)
@@ -25,7 +32,7 @@ def finish(app, exception):
     shutil.copyfile(source.locate(), target)
     for page in output.rglob("*.html"):
         text = page.read_text(encoding="utf-8")
-        slim = FONT_PRELOAD.sub("", text)
+        slim = UNWANTED.sub("", text)
         if slim != text:
             page.write_text(slim, encoding="utf-8")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import sys
 import tempfile
@@ -11,14 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
-from tqdm import tqdm
 
-from artifact import methods
+from artifact import forward, methods, reading, shards, timing
 from artifact.datasets import Traversal
-from artifact.extract import describe
 from artifact.lowrank import LowRankMap
-from artifact.manifest import Manifest
+from artifact.manifest import Manifest, MethodEntry
 from artifact.metrics import evaluate
 
 N_QUERIES, N_DATABASE = 6000, 7500
@@ -84,8 +82,8 @@ def ranking_lines(n_queries: int, n_database: int, dimension: int) -> Iterator[s
     )
     extra = _peak_mebibytes() - before
     yield (
-        f"ranking {n_queries} queries, {n_database} database images, d = {dimension}: {pass_seconds:.2f} s, bare product "
-        f"{bare:.2f} s, ratio {pass_seconds / bare:.2f}; extra memory {extra:.0f} MiB; "
+        f"ranking {n_queries} queries, {n_database} database images, d = {dimension}: {pass_seconds:.2f} s, bare "
+        f"product {bare:.2f} s, ratio {pass_seconds / bare:.2f}; extra memory {extra:.0f} MiB; "
         f"R@1 {results[0].recall():.3f}, DAR@1 {results[0].dar():.3f}, "
         f"{results[0].distractor_counts.beaters.mean():.0f} distractors above the best positive on average"
     )
@@ -103,40 +101,62 @@ def view_lines(n_queries: int, n_database: int, dimension: int, n_views: int) ->
     single = best_of(lambda: evaluate(*args, device="cpu"))
     several = best_of(lambda: evaluate(*args, device="cpu", views=views))
     yield (
-        f"views: {n_views} INLP views of {n_queries} queries, {n_database} database images, d = {dimension}: {several:.2f} s, "
-        f"without views {single:.2f} s, ratio {several / single:.2f}"
+        f"views: {n_views} INLP views of {n_queries} queries, {n_database} database images, d = {dimension}: "
+        f"{several:.2f} s, without views {single:.2f} s, ratio {several / single:.2f}"
     )
 
 
-def extraction_lines(manifest: Manifest, method: str = "efficientnet_lite0", n_images: int = 256) -> Iterator[str]:
-    """Time extraction from JPEG files against the model's own forward rate on the same batches."""
+def extraction_lines(
+    manifest: Manifest, method: str = "efficientnet_lite0", n_batches: int = 16, device: str | None = None
+) -> Iterator[str]:
+    """Time extraction from JPEG files against the model's own forward rate on the same batches.
+
+    Both rates are taken on warm processes. On the CPU, reading and model share the cores: the line also states what
+    share of the model's rate is left when reading takes its part, and nothing else is lost.
+    """
     entry = manifest.method(method)
+    (where,) = forward.devices(device)
     with tempfile.TemporaryDirectory() as name:
-        traversal = _noise_traversal(Path(name), n_images)
-        model = methods.model_of(method, entry)
-        size = entry.preprocessing.size or [480, 640]
-        batch = torch.randn(entry.batch_size, 3, *size)
-        with torch.inference_mode():
-            model(batch)
-            alone = best_of(lambda: model(batch)) / entry.batch_size
-        model_rate = 1 / alone
-        with tqdm(disable=True) as bar:
-            begun = time.perf_counter()
-            rows = sum(len(values) for _, values in describe(traversal, model, entry, torch.device("cpu"), None, bar))
-            rate = rows / (time.perf_counter() - begun)
+        traversal = _photograph_traversal(Path(name), n_batches * entry.batch_size)
+        paths = traversal.image_paths()[: entry.batch_size]
+        model = forward.Forward(methods.model_of(method, entry).to(where), entry, where)
+        batch, _ = reading.prepare_batch(paths, entry.preprocessing)
+
+        def describe_batch() -> None:
+            model(batch)[0].cpu()
+
+        alone = best_of(describe_batch, repeats=5) / entry.batch_size
+        moments = [
+            (time.perf_counter(), rows.stop)
+            for rows, _ in shards.describe(traversal, entry, model, shards.batches(len(traversal), entry.batch_size))
+        ]
+        alone = min(alone, best_of(describe_batch) / entry.batch_size)
+        read = _reading_seconds(paths, entry)
+    (begun, first), (ended, last) = moments[1], moments[-1]
+    rate = (last - first) / (ended - begun)
+    cores = os.cpu_count() or 1
+    share = f", which alone leaves the model {100 * alone / (alone + read / cores):.0f} % of {cores} busy cores"
     yield (
-        f"extraction of {n_images} images with {entry.title}: {rate:.1f} images/s, the model alone {model_rate:.1f} images/s, "
-        f"{100 * rate / model_rate:.0f} %"
+        f"extraction of {len(traversal)} images with {entry.title} on {where}: {rate:.1f} images/s, the model alone "
+        f"{1 / alone:.1f} images/s, {100 * rate * alone:.0f} %; to read an image takes a core {1000 * read:.1f} ms"
+        f"{share if where.type == 'cpu' else ''}"
     )
 
 
-def _noise_traversal(folder: Path, n: int) -> Traversal:
-    rng = np.random.default_rng(0)
+def _reading_seconds(paths: list[Path], entry: MethodEntry) -> float:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        return best_of(lambda: reading.prepare_batch(paths, entry.preprocessing)) / len(paths)
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _photograph_traversal(folder: Path, n: int) -> Traversal:
     names = tuple(f"{index:04d}.jpg" for index in range(n))
-    for name in names:
-        picture = np.kron(rng.integers(0, 256, (30, 40, 3)), np.ones((16, 16, 1))).astype(np.uint8)
-        Image.fromarray(picture).save(folder / name, quality=90)
-    return Traversal("bench", "noise", "none", names, np.arange(n, dtype=np.float64)[:, None], "none", folder)
+    for index, name in enumerate(names):
+        timing.photograph(480, 640, seed=index).save(folder / name, quality=90)
+    return Traversal("bench", "photographs", "none", names, np.arange(n, dtype=np.float64)[:, None], "none", folder)
 
 
 def _peak_mebibytes() -> float:

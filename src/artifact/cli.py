@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,6 +18,9 @@ EPILOG = "The Makefile calls these commands; `make help` lists them. See README.
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return the exit status: 0, 1 for a failed run, 2 for unusable arguments."""
+    # Threads of the models sleep while they wait: where they spin, a process that reads images beside them on a machine
+    # of few cores slows a forward pass several times. Read once, when PyTorch is imported; notebooks inherit it.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     parser = _parser()
     options = parser.parse_args(arguments)
     try:
@@ -38,10 +42,11 @@ def _user_errors() -> tuple[type[Exception], ...]:
     from artifact.parameters import ParameterError
     from artifact.runner import NotebookError
     from artifact.store import StoreError
+    from artifact.weights import WeightsError
 
     return (
         BookError, DatasetError, ExtractionError, ManifestError, ParameterError, NotebookError, StoreError,
-        FileNotFoundError,
+        WeightsError, FileNotFoundError,
     )  # fmt: skip
 
 
@@ -78,11 +83,15 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("run", _run, "as reproduce, without building the book")
     notebooks(sub)
     sub = command("book", _book, "build the book from the executed notebooks, running none")
-    sub = command("data", _data, "make the datasets of a profile ready and say which are missing")
+    sub = command("data", _data, "make the datasets and weights of a profile ready and say which are missing")
     scope(sub)
     sub = command("extract", _extract, "extract the descriptors of a profile")
     scope(sub)
-    sub.add_argument("--device", help="for example cpu, cuda or cuda:1 (default: CUDA if there is any)")
+    sub.add_argument("--devices", "--device", metavar="DEVICES",
+                     help="for example cpu, cuda:1, cuda:0,cuda:1 or all, which share the images (default: CUDA if there is any)")  # fmt: skip
+    sub.add_argument("--precision", choices=("float32", "bfloat16", "float16"), default="float32",
+                     help="mixed precision gives other descriptors, stored beside the former (default: float32)")  # fmt: skip
+    sub.add_argument("--dry-run", action="store_true", help="extract nothing; say what it takes on this machine")
     sub.add_argument(
         "--ship", metavar="DATASET", help="for maintainers: store this dataset's descriptors in the package"
     )
@@ -178,11 +187,33 @@ def _data(options: argparse.Namespace) -> int:
         for traversal in traversals:
             state = str(traversal.folder) if traversal.folder else "shipped descriptors only"
             sys.stdout.write(f"{name}/{traversal.name}: {len(traversal)} images, {state}\n")
+    missing += _fetch_weights(manifest, options.profile)
     return 1 if missing else 0
 
 
+def _fetch_weights(manifest: Any, profile: str) -> int:
+    """Show licence and terms of all missing weights, then fetch them; return the number of methods left without."""
+    from artifact import methods, weights
+
+    entries = {name: manifest.method(name) for name in manifest.profile(profile).methods}
+    sys.stdout.write(weights.announcement(entries))
+    missing = 0
+    for name, entry in entries.items():
+        if not weights.is_required(entry):
+            continue
+        sys.stdout.flush()
+        try:
+            methods.fetch(name, entry)
+        except weights.WeightsError as error:
+            missing += 1
+            sys.stdout.write(f"{name}: no weights\n{error}\n")
+            continue
+        sys.stdout.write(f"weights of {weights.state(name, entry).summary}\n")
+    return missing
+
+
 def _extract(options: argparse.Namespace) -> None:
-    from artifact import extract, runner, shipping
+    from artifact import extract, planning, runner, shipping
 
     manifest = _manifest(options)
     profile = manifest.profile(options.profile)
@@ -190,10 +221,16 @@ def _extract(options: argparse.Namespace) -> None:
         for path in shipping.ship(manifest, options.ship, profile.methods):
             sys.stdout.write(f"{path}\n")
         return
+    if options.dry_run:
+        for line in planning.lines(manifest, options.profile, device=options.devices, precision=options.precision):
+            sys.stdout.write(f"{line}\n")
+        return
     for name in profile.datasets:
         for traversal in runner.load_all(manifest, name):
             for method in profile.methods:
-                found = extract.descriptors(manifest, traversal, method, device=options.device, progress=True)
+                found = extract.descriptors(
+                    manifest, traversal, method, device=options.devices, precision=options.precision, progress=True
+                )
                 sys.stdout.write(f"{method} · {name}/{traversal.name}: {found.values.shape} from {found.source}\n")
 
 
@@ -225,7 +262,12 @@ def _bench(options: argparse.Namespace) -> None:
 
 
 def _status(options: argparse.Namespace) -> None:
-    from artifact import book
+    from artifact import book, weights
 
-    for line in book.status_lines(_manifest(options), options.profile):
+    manifest = _manifest(options)
+    for name in manifest.profile(options.profile).methods:
+        state = weights.state(name, manifest.method(name))
+        if state.status != "not needed":
+            sys.stdout.write(f"weights of {state.detail if state.status == 'changed' else state.summary}\n")
+    for line in book.status_lines(manifest, options.profile):
         sys.stdout.write(f"{line}\n")

@@ -1,22 +1,17 @@
 """Traversal × method → descriptors on disk, resumable at any moment.
 
-Worker processes decode and prepare images ahead of the model. Descriptors go to a partial file; a journal beside
-it records how many batches are safely on disk, so that a killed run goes on from there and, because batches are
-always the same, ends with the same bytes. A result is complete only when its sidecar exists.
+Worker processes decode and prepare images ahead of the model (:mod:`artifact.reading`), which describes them in
+batches that are always the same (:mod:`artifact.shards`). Descriptors go to a partial file, and a journal beside it
+records the rows that are safely on disk (:mod:`artifact.partial`): a killed run goes on from there and ends with the
+same bytes. A result is complete only when its sidecar exists.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import platform
 import sys
 import time
-import types
-from collections import deque
-from collections.abc import Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,23 +19,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from artifact import methods, store
+from artifact import local_features, methods, partial, store
 from artifact.datasets import shipped
 from artifact.datasets.traversal import Traversal
-from artifact.images import UnreadableImageError, read_image
-from artifact.manifest import Manifest, MethodEntry, Preprocessing
+from artifact.manifest import Manifest, ManifestError, MethodEntry
+from artifact.reading import ExtractionError
 
 if TYPE_CHECKING:
     import torch  # imported where descriptors are made: reading stored ones does not need it
 
+__all__ = ["PRECISIONS", "Descriptors", "ExtractionError", "descriptor_key", "descriptors", "is_ready", "stored_path"]
+
+PRECISIONS = ("float32", "bfloat16", "float16")
 REVISION = 1  # raise when the same model and images would give other descriptors
-
-_JOURNAL_SECONDS = 2.0
-_LISTED = 20
-
-
-class ExtractionError(RuntimeError):
-    """Descriptors that cannot be made; the message names every image at fault."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +65,7 @@ def descriptors(
     method: str,
     *,
     device: str | torch.device | None = None,
+    precision: str = "float32",
     workers: int | None = None,
     progress: bool = False,
 ) -> Descriptors:
@@ -84,21 +76,28 @@ def descriptors(
     manifest, traversal, method
         What to describe, and the method's name in the manifest.
     device
-        ``None`` takes CUDA if there is any, else the CPU.
+        One device or several with commas between, such as ``"cuda:0,cuda:1"``, or ``"all"`` CUDA devices; several share
+        the images, one process each. ``None`` takes CUDA if there is any, else the CPU.
+    precision
+        ``"float32"``, or mixed precision with ``"bfloat16"`` or ``"float16"``, which gives other descriptors, stored
+        beside the former.
     workers
-        Processes that read images; ``None`` leaves one core to the model; 0 reads in this process.
+        Processes that read images for each device; ``None`` leaves one core to the model; 0 reads in the model's.
     progress
         Whether to show a progress bar with rate and remaining time.
 
     Raises
     ------
     ExtractionError
-        If images cannot be read, or descriptors are not finite and of unit length. All are listed.
+        If images cannot be read, or descriptors are not finite and of unit length: all are listed. If a device is not
+        there, or memory does not suffice for one image, or for one batch of a method whose descriptors depend on it.
     DatasetError
         If neither images nor shipped descriptors are at hand.
+    StoreError
+        If the disk has no room for the descriptors.
     """
     entry = manifest.method(method)
-    key = descriptor_key(traversal, method, entry)
+    key = descriptor_key(traversal, method, entry, precision)
     path = stored_path(manifest, method, key)
     if not traversal.has_images and not path.with_suffix(".json").exists():
         found = shipped.descriptors(key)
@@ -107,8 +106,90 @@ def descriptors(
         traversal.image_paths()
     with store.lock(path):
         if not path.with_suffix(".json").exists():
-            _extract(path, key, traversal, method, entry, device, workers, progress=progress)
+            files = _files(manifest, traversal, method, entry, key)
+            _extract(path, key, traversal, method, entry, device, workers, precision, files, progress=progress)
     return _load(path, key, "images")
+
+
+def second_stage(
+    manifest: Manifest,
+    traversal: Traversal,
+    method: str,
+    *,
+    device: str | torch.device | None = None,
+    precision: str = "float32",
+    workers: int | None = None,
+    progress: bool = False,
+) -> local_features.Stored:
+    """Return what a two-stage method stores besides descriptors: local features, or packed hash codes.
+
+    They are made together with the descriptors. If only they are missing, the images are described once more.
+    Parameters and errors are those of :func:`descriptors`.
+
+    Raises
+    ------
+    ManifestError
+        If the method's entry says nothing of local features or codes, or its model gives others.
+    """
+    entry = manifest.method(method)
+    key = descriptor_key(traversal, method, entry, precision)
+    files = _files(manifest, traversal, method, entry, key)
+    if files is None:
+        raise ManifestError(f"{manifest.path}: methods.{method} has neither local_features nor code_bits")
+    options = {"device": device, "precision": precision, "workers": workers, "progress": progress}
+    if files.missing():
+        traversal.image_paths()
+        descriptors(manifest, traversal, method, **options)
+        with store.lock(stored_path(manifest, method, key)):
+            if files.missing():
+                again = files.folder / "descriptors.npy"
+                _extract(again, key, traversal, method, entry, device, workers, precision, files, progress=progress)
+                again.with_suffix(".json").unlink()
+                again.unlink()
+    return local_features.load(files)
+
+
+def second_stage_key(traversal: Traversal, method: str, entry: MethodEntry, precision: str = "float32") -> str:
+    """Return the content key of a traversal's local features or codes."""
+    return _second_key(descriptor_key(traversal, method, entry, precision), entry)
+
+
+def check_disk(manifest: Manifest, traversals: Iterable[Traversal], names: Iterable[str]) -> None:
+    """Say how much disk the local features and codes of methods take, and compare it with what is free.
+
+    Raises
+    ------
+    StoreError
+        If what is not stored yet does not fit.
+    """
+    needs, traversals = [], list(traversals)
+    for method in names:
+        entry = manifest.method(method)
+        for traversal in traversals:
+            files = _files(manifest, traversal, method, entry, descriptor_key(traversal, method, entry))
+            if files is not None:
+                needs.append(files.need(f"{method} · {traversal.dataset}/{traversal.name}"))
+    local_features.check_disk(needs, store.cache_folder(manifest.path.parent), _say)
+
+
+def _say(line: str) -> None:
+    tqdm.write(line, file=sys.stderr)
+
+
+def _second_key(descriptors_key: str, entry: MethodEntry) -> str:
+    layout, revision = local_features.layout_of(entry), local_features.REVISION
+    return store.key(stage="local features", revision=revision, descriptors=descriptors_key, layout=layout)
+
+
+def _files(
+    manifest: Manifest, traversal: Traversal, method: str, entry: MethodEntry, descriptors_key: str
+) -> local_features.Files | None:
+    layout = local_features.layout_of(entry)
+    if layout is None:
+        return None
+    key = _second_key(descriptors_key, entry)
+    folder = store.cache_folder(manifest.path.parent) / "local_features" / method / key[:24]
+    return local_features.Files(folder, key, len(traversal), layout)
 
 
 def is_ready(manifest: Manifest, traversal: Traversal, method: str) -> bool:
@@ -118,10 +199,19 @@ def is_ready(manifest: Manifest, traversal: Traversal, method: str) -> bool:
     return stored or (not traversal.has_images and shipped.descriptors(key) is not None)
 
 
-def descriptor_key(traversal: Traversal, method: str, entry: MethodEntry) -> str:
-    """Return the content key of descriptors: images, order, model, preprocessing and code revisions."""
+def descriptor_key(traversal: Traversal, method: str, entry: MethodEntry, precision: str = "float32") -> str:
+    """Return the content key of descriptors: images, order, model, preprocessing, precision and code revisions.
+
+    Raises
+    ------
+    ExtractionError
+        If the precision is none of :data:`PRECISIONS`.
+    """
+    if precision not in PRECISIONS:
+        raise ExtractionError(f"precision {precision!r}: allowed are {', '.join(PRECISIONS)}")
     model = methods.fingerprint(method, entry)
-    return store.key(stage="descriptors", revision=REVISION, images=traversal.digest, model=model)
+    mixed = {} if precision == "float32" else {"precision": precision}
+    return store.key(stage="descriptors", revision=REVISION, images=traversal.digest, model=model, **mixed)
 
 
 def stored_path(manifest: Manifest, method: str, key: str) -> Path:
@@ -149,208 +239,43 @@ def _load(path: Path, key: str, source: str) -> Descriptors:
 
 def _extract(
     path: Path, key: str, traversal: Traversal, method: str, entry: MethodEntry, device: Any, workers: int | None,
-    *, progress: bool,
+    precision: str, files: local_features.Files | None, *, progress: bool,
 ) -> None:  # fmt: skip
     import torch
 
+    from artifact import forward, shards
+
     begun = time.monotonic()
-    chosen = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
-    model = methods.model_of(method, entry).to(chosen)
-    output = _PartialFile(path, key, (len(traversal), entry.dimension))
-    clock = Clock()
-    label = f"{method} · {traversal.dataset}/{traversal.name}"
+    chosen = forward.devices(device)
+    shape = (len(traversal), entry.dimension)
+    journal_key = key
+    if files is not None:
+        label = f"{method} · {traversal.dataset}/{traversal.name}"
+        local_features.check_disk([files.need(label)], files.folder, _say)
+        journal_key = f"{key}+{local_features.start(files)}"
+    done = partial.start(path, journal_key, shape)
+    remaining = [rows for rows in shards.batches(len(traversal), entry.batch_size) if not done[rows].all()]
     with tqdm(
-        total=len(traversal), initial=min(output.done * entry.batch_size, len(traversal)), unit="image", desc=label,
-        disable=None if progress else True, smoothing=0.05, leave=False,
+        total=len(traversal), initial=len(traversal) - sum(rows.stop - rows.start for rows in remaining), unit="image",
+        desc=f"{method} · {traversal.dataset}/{traversal.name}", disable=None if progress else True, smoothing=0.05,
+        leave=False,
     ) as bar:  # fmt: skip
+        job = shards.Job(path, journal_key, traversal, method, entry, precision, workers, files)
         try:
-            for rows, values in describe(traversal, model, entry, chosen, workers, bar, first=output.done, clock=clock):
-                output.write(rows, values)
+            work = shards.run(job, remaining, chosen, bar.update)
         except BaseException:
-            output.pause()
+            partial.abandon(path)
             raise
-    output.complete(
+    if files is not None:
+        local_features.complete(files, {"method": method, "dataset": traversal.dataset, "traversal": traversal.name})
+    partial.complete(
+        path,
         {
             "key": key, "method": method, "dataset": traversal.dataset, "traversal": traversal.name,
-            "images": traversal.digest, "preprocessing": entry.preprocessing.model_dump(), "revision": REVISION,
-            "device": str(chosen), "torch": torch.__version__, "machine": platform.machine(),
-            "seconds": round(time.monotonic() - begun, 3), "forward_seconds": round(clock.seconds, 3),
-        }
+            "shape": list(shape), "images": traversal.digest, "revision": REVISION, "precision": precision,
+            "preprocessing": entry.preprocessing.model_dump(), "batch_size": entry.batch_size,
+            "images_at_once": work.at_once or entry.batch_size, "device": ", ".join(map(str, chosen)),
+            "torch": torch.__version__, "machine": platform.machine(),
+            "seconds": round(time.monotonic() - begun, 3), "forward_seconds": round(work.seconds, 3),
+        },
     )  # fmt: skip
-
-
-@dataclass
-class Clock:
-    """Seconds that the model computed."""
-
-    seconds: float = 0.0
-
-
-def describe(
-    traversal: Traversal, model: torch.nn.Module, entry: MethodEntry, device: torch.device, workers: int | None, bar: tqdm,
-    *, first: int = 0, clock: Clock | None = None,
-) -> Iterator[tuple[slice, np.ndarray]]:  # fmt: skip
-    """Yield the rows and descriptors of each batch, from batch ``first`` on.
-
-    Raises
-    ------
-    ExtractionError
-        At the end, if images could not be read: the message names all of them. From the first one on, nothing more is
-        described.
-    """
-    clock = clock or Clock()
-    label = f"{entry.title} · {traversal.dataset}/{traversal.name}"
-    batches = list(_batches(len(traversal), entry.batch_size))[first:]
-    paths = traversal.image_paths()
-    unreadable: list[str] = []
-    prepared = _read([paths[rows] for rows in batches], entry.preprocessing, workers)
-    for rows, (images, errors) in zip(batches, prepared, strict=True):
-        unreadable += errors
-        if not unreadable:
-            begun = time.perf_counter()
-            values = _forward(model, images, device)
-            clock.seconds += time.perf_counter() - begun
-            yield rows, _checked(values, entry, list(traversal.image_names[rows]), label)
-        bar.update(rows.stop - rows.start)
-    if unreadable:
-        more = f"\n  and {len(unreadable) - _LISTED} more" if len(unreadable) > _LISTED else ""
-        listed = "\n  ".join(unreadable[:_LISTED])
-        raise ExtractionError(
-            f"{label}: {len(unreadable)} of {len(traversal)} images cannot be read:\n  {listed}{more}"
-        )
-
-
-def _batches(n: int, size: int) -> Iterator[slice]:
-    for start in range(0, n, size):
-        yield slice(start, min(start + size, n))
-
-
-def _forward(model: torch.nn.Module, images: list[np.ndarray], device: torch.device) -> np.ndarray:
-    """Run the model on a batch; images of different sizes go one by one."""
-    import torch
-
-    groups = [images] if len({image.shape for image in images}) == 1 else [[image] for image in images]
-    with torch.inference_mode():
-        outputs = [model(torch.from_numpy(np.stack(group)).to(device)).float().cpu() for group in groups]
-    return torch.cat(outputs).numpy()
-
-
-def _checked(values: np.ndarray, entry: MethodEntry, names: list[str], label: str) -> np.ndarray:
-    if values.shape != (len(names), entry.dimension):
-        raise ExtractionError(
-            f"{label}: the model gave the shape {values.shape} for {len(names)} images; "
-            f"the manifest says dimension {entry.dimension}"
-        )
-    lengths = np.linalg.norm(values, axis=1)
-    bad = np.flatnonzero(~(np.abs(lengths - 1) < 1e-3))
-    if bad.size:
-        listed = ", ".join(f"{names[i]} ({lengths[i]:.4g})" for i in bad[:_LISTED])
-        raise ExtractionError(
-            f"{label}: descriptors must be finite and of length 1; these images have other lengths: {listed}. "
-            f"An image without any contrast has no {entry.title} descriptor; a model from outside should end with "
-            f"torch.nn.functional.normalize(x, dim=-1)"
-        )
-    return values
-
-
-class _PartialFile:
-    """The growing descriptor file, its journal, and the steps that make it whole."""
-
-    def __init__(self, path: Path, key: str, shape: tuple[int, int]) -> None:
-        self._path, self._key = path, key
-        self._partial = path.with_suffix(".partial.npy")
-        self._journal = path.with_suffix(".journal.json")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.exists():  # killed between the last two steps of `complete`
-            path.replace(self._partial)
-        journal = store.read_json(self._journal) if self._journal.exists() else {}
-        self.done = journal.get("batches", 0) if journal.get("key") == key and self._partial.exists() else 0
-        mode = "r+" if self.done else "w+"
-        self._values = np.lib.format.open_memmap(self._partial, mode=mode, dtype=np.float32, shape=shape)
-        self._written, self._last = self.done, time.monotonic()
-
-    def write(self, rows: slice, values: np.ndarray) -> None:
-        self._values[rows] = values
-        self._written += 1
-        if time.monotonic() - self._last > _JOURNAL_SECONDS:
-            self.pause()
-
-    def pause(self) -> None:
-        """Bring all written batches to disk, then say so in the journal."""
-        self._values.flush()
-        store.write_json(self._journal, {"key": self._key, "batches": self._written})
-        self._last = time.monotonic()
-
-    def complete(self, sidecar: dict[str, Any]) -> None:
-        self.pause()
-        shape = list(self._values.shape)
-        del self._values
-        with self._partial.open("rb+") as stream:
-            os.fsync(stream.fileno())
-        digest = store.digest_of_file(self._partial)
-        self._partial.replace(self._path)
-        store.write_json(self._path.with_suffix(".json"), {**sidecar, "shape": shape, "sha256": digest})
-        self._journal.unlink()
-
-
-# -- reading ------------------------------------------------------------------------------------------------
-
-
-def _read(
-    batches: list[list[Path]], preprocessing: Preprocessing, workers: int | None
-) -> Iterator[tuple[list[np.ndarray], list[str]]]:
-    """Yield prepared batches in order, read ahead by worker processes."""
-    if workers is None:
-        workers = max(1, min(8, (os.cpu_count() or 2) - 1))
-    if workers == 0 or not batches:
-        for batch in batches:
-            yield _prepare_batch(batch, preprocessing)
-        return
-    with ProcessPoolExecutor(workers, mp_context=_context()) as pool:
-        waiting: deque[Future[tuple[list[np.ndarray], list[str]]]] = deque()
-        try:
-            for batch in batches:
-                with _main_unseen():
-                    waiting.append(pool.submit(_prepare_batch, batch, preprocessing))
-                if len(waiting) > workers + 2:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            for future in waiting:
-                future.cancel()
-
-
-def _context() -> multiprocessing.context.BaseContext:
-    """Return a way to start workers that never forks a process with running threads."""
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["artifact.methods.preprocessing"])
-    return context
-
-
-@contextmanager
-def _main_unseen() -> Iterator[None]:
-    """Keep a worker that starts now from running the caller's script again, which needs no ``__main__`` guard then."""
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = types.ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = main
-
-
-def _prepare_batch(paths: list[Path], preprocessing: Preprocessing) -> tuple[list[np.ndarray], list[str]]:
-    import torch
-
-    from artifact.methods.preprocessing import prepare
-
-    torch.set_num_threads(1)
-    images, errors = [], []
-    for path in paths:
-        try:
-            images.append(prepare(read_image(path, preprocessing.colour), preprocessing).numpy())
-        except UnreadableImageError as error:
-            errors.append(str(error))
-    return images, errors

@@ -77,7 +77,7 @@ class TraversalEntry(_Strict):
 
 
 class Source(_Strict):
-    """Where the files of a dataset or the weights of a method come from."""
+    """Where the files of a dataset come from."""
 
     url: str
     note: str = ""
@@ -172,11 +172,70 @@ class Preprocessing(_Strict):
         return self
 
 
+class WeightsFile(_Strict):
+    """One released file of trained weights.
+
+    ``urls`` are tried in order: the authors' first, then mirrors. A Google Drive link is given as people open it,
+    ``https://drive.google.com/file/d/ID/view``. ``size`` in bytes, ``sha256`` and ``git_blob`` (the SHA-1 by which git
+    names a file) are those of the released file where they are known; else the first download is recorded in a lock
+    file. ``megabytes`` is an estimate to show before the download. ``container`` is the key of the checkpoint that
+    holds the weights, or ``flat``. ``tensor`` says that the file is a single tensor, and its name in the model.
+    """
+
+    file: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.,+()-]*$")
+    urls: list[Annotated[str, Field(pattern=r"^https?://[^\s]+$")]] = []
+    size: int | None = Field(default=None, gt=0)
+    megabytes: float | None = Field(default=None, gt=0)
+    sha256: str | None = Field(default=None, pattern=r"^[0-9a-f]{64}$")
+    git_blob: str | None = Field(default=None, pattern=r"^[0-9a-f]{40}$")
+    container: Literal["flat", "state_dict", "model_state_dict"] | None = None
+    tensor: str | None = None
+
+
+class WeightsEntry(_Strict):
+    """The released weights of a method, all that its model needs.
+
+    ``licence`` and ``terms`` are shown before a download. ``obtain`` says how to get what cannot be downloaded.
+    ``folder`` holds the files; a relative one is below the data root (and made absolute when a manifest is read).
+    """
+
+    files: list[WeightsFile] = Field(min_length=1)
+    licence: str
+    terms: str = ""
+    obtain: str = ""
+    folder: str = "weights"
+
+    @model_validator(mode="after")
+    def _files_differ(self) -> WeightsEntry:
+        for what, values in (("file", [f.file for f in self.files]), ("tensor", [f.tensor for f in self.files])):
+            for value in values:
+                if values.count(value) > 1:
+                    named = f"{what} {value!r}" if value else "a file without the key 'tensor'"
+                    raise ValueError(f"{named} is named twice; all but one file hold a single tensor each")
+        return self
+
+
+class LocalFeatures(_Strict):
+    """Local features of a method that ranks candidates again by them.
+
+    ``shape`` is rows, columns and dimension of the features of one image. ``dtype`` is what they are stored as;
+    ``float16`` takes half the disk and rounds them.
+    """
+
+    shape: list[Annotated[int, Field(gt=0)]] = Field(min_length=2)
+    dtype: Literal["float32", "float16"] = "float32"
+
+
 class MethodEntry(_Strict):
     """One descriptor method, with the columns of the paper's Table II.
 
     ``builder`` names a function ``package.module:function`` that returns the model, for a method from outside
-    this library. ``batch_dependent`` marks models whose descriptors depend on which images share a batch.
+    this library. ``weights`` are loaded into the model; a method of kind ``paper`` does not run without them, unless
+    its builder brings its own. ``batch_dependent`` marks models whose descriptors depend on which images share a batch.
+
+    ``rerank`` is the number of candidates that a two-stage method ranks again. With ``local_features``, descriptors
+    find the candidates and mutual nearest local features rank them (SelaVPR); with ``code_bits``, hash codes of that
+    length find them by Hamming distance and descriptors rank them (SelaVPR++).
     """
 
     title: str
@@ -186,12 +245,25 @@ class MethodEntry(_Strict):
     dimension: int = Field(gt=0)
     train_data: str = "–"
     rerank: int | None = Field(default=None, gt=0)
+    local_features: LocalFeatures | None = None
+    code_bits: int | None = Field(default=None, gt=0)
     preprocessing: Preprocessing
     batch_size: int = Field(default=16, gt=0)
     batch_dependent: bool = False
     builder: str | None = Field(default=None, pattern=r"^[\w.]+:\w+$")
+    weights: WeightsEntry | None = None
     licence: str = "not stated"
     reference: str | None = None
+
+    @model_validator(mode="after")
+    def _second_stage_is_one(self) -> MethodEntry:
+        named = [key for key in ("local_features", "code_bits") if getattr(self, key) is not None]
+        if len(named) > 1 or (named and self.rerank is None):
+            raise ValueError(
+                f"found {' and '.join(named)} {'without rerank' if self.rerank is None else 'together'}; a two-stage "
+                f"method has rerank and one of local_features and code_bits"
+            )
+        return self
 
 
 class ProfileEntry(_Strict):
@@ -282,9 +354,16 @@ def load(path: str | os.PathLike[str] | None = None) -> Manifest:
         path=path.resolve(),
         data_root=data_root.resolve(),
         datasets=document.datasets,
-        methods=document.methods,
+        methods={name: _with_folder(entry, data_root.resolve()) for name, entry in document.methods.items()},
         profiles=document.profiles,
     )
+
+
+def _with_folder(entry: MethodEntry, data_root: Path) -> MethodEntry:
+    if entry.weights is None:
+        return entry
+    folder = data_root / Path(entry.weights.folder).expanduser()
+    return entry.model_copy(update={"weights": entry.weights.model_copy(update={"folder": str(folder)})})
 
 
 def parse_dataset(path: Path, root: str) -> DatasetEntry:

@@ -207,11 +207,7 @@ class Evaluation:
         numpy.ndarray
             ``(len(distances),)`` float64.
         """
-        limits = np.asarray(distances, np.float64)
-        if limits.ndim != 1 or not (limits >= self.threshold).all():
-            raise ValueError(
-                f"distances are {distances!r}; allowed: a list of numbers from the threshold {self.threshold:g} up"
-            )
+        limits = self._limits(distances)
         needed = self._needed(k)
         distance = np.take_along_axis(self.distractor_counts.farthest, np.maximum(needed - 1, 0)[:, None], axis=1)[:, 0]
         hits = ~(distance[:, None] > limits) & (needed > 0)[:, None]
@@ -222,6 +218,14 @@ class Evaluation:
         if values.ndim != 1 or not ((values >= 0) & (values <= 1)).all():
             raise ValueError(f"ratios are {ratios!r}; allowed: a list of numbers from 0 to 1")
         return np.rint(values * self.n_distractors).astype(np.int64)
+
+    def _limits(self, distances: Sequence[float]) -> np.ndarray:
+        limits = np.asarray(distances, np.float64)
+        if limits.ndim != 1 or not (limits >= self.threshold).all():
+            raise ValueError(
+                f"distances are {distances!r}; allowed: a list of numbers from the threshold {self.threshold:g} up"
+            )
+        return limits
 
     def _needed(self, k: int) -> np.ndarray:
         """How many distractors must beat the best positive to push it out of the top K; 0 if it is out already."""

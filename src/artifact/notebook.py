@@ -53,14 +53,23 @@ class Page:
         if real:
             images.append(f"real images ({', '.join(real)})")
         if rendered:
-            images.append(f"rendered images ({len(rendered)} City pairs)")
+            images.append(f"rendered images ({rendered[0] if len(rendered) == 1 else f'{len(rendered)} City pairs'})")
         return f"Measured by profile “{self.profile}” on {' and '.join(images)} with {' and '.join(what[k] for k in sorted(kinds))}."
 
-    def only(self, dataset: str) -> Page:
-        """Return the page narrowed to one dataset."""
-        return replace(self, datasets=(dataset,))
+    def only(self, dataset: str, *methods: str) -> Page:
+        """Return the page narrowed to one dataset, and to some methods if any are named."""
+        return replace(self, datasets=(dataset,), methods=methods or self.methods)
 
-    def choose(self, dataset: str | None, *, unit: str | None = None, distractor_traversals: bool = False) -> str:
+    def choose(
+        self,
+        dataset: str | None,
+        *,
+        unit: str | None = None,
+        distractor_traversals: bool = False,
+        same_condition_traversal: bool = False,
+        images: bool = False,
+        prefer_real: bool = False,
+    ) -> str:
         """Return the named dataset, or the first of the profile that suits.
 
         Parameters
@@ -69,24 +78,40 @@ class Page:
             A name, or ``None``.
         unit
             Unit that the threshold must have.
-        distractor_traversals
-            Whether traversals of further conditions must be there.
+        distractor_traversals, same_condition_traversal
+            Whether the manifest must name traversals of further conditions, or of the query's kind of condition.
+        images
+            Whether the images of the pair must be at hand.
+        prefer_real
+            Whether real images come before rendered ones.
 
         Raises
         ------
         ManifestError
             If none suits; the message says what is needed.
         """
-        for name in self.datasets if dataset is None else [dataset]:
+        candidates = list(self.datasets if dataset is None else [dataset])
+        if prefer_real:
+            candidates.sort(key=lambda name: data.entry_of(self.manifest, name).kind == "city")
+        for name in candidates:
             entry = data.entry_of(self.manifest, name)
-            if (unit is None or entry.threshold.unit == unit) and (
-                entry.distractor_traversals or not distractor_traversals
+            if (
+                (unit is None or entry.threshold.unit == unit)
+                and (entry.distractor_traversals or not distractor_traversals)
+                and (entry.same_condition_traversal or not same_condition_traversal)
+                and (not images or self._has_images(name))
             ):
                 return name
         needs = [f"a threshold in {unit}"] if unit else []
         needs += ["the key distractor_traversals"] if distractor_traversals else []
+        needs += ["the key same_condition_traversal"] if same_condition_traversal else []
+        needs += ["its images at hand"] if images else []
         where = f"dataset {dataset!r}" if dataset else f"no dataset of profile {self.profile!r}"
         raise ManifestError(f"{where}: this page needs a dataset with {' and '.join(needs)}")
+
+    def _has_images(self, name: str) -> bool:
+        loaded = data.load(self.manifest, name)
+        return loaded.query.has_images and loaded.database.has_images
 
     def rendered(self) -> list[str]:
         """Return the datasets that are rendered."""
@@ -100,6 +125,11 @@ class Page:
         """Return the conditions of a dataset's query and database."""
         entry = data.entry_of(self.manifest, dataset)
         return entry.traversals[entry.query].condition, entry.traversals[entry.database].condition
+
+    def mixed_conditions(self, dataset: str) -> tuple[str, str, str]:
+        """Return the conditions of query, database and the traversal whose frames join the database."""
+        entry = data.entry_of(self.manifest, dataset)
+        return *self.conditions(dataset), entry.traversals[entry.same_condition_traversal].condition
 
 
 def open_page(

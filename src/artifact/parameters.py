@@ -15,6 +15,7 @@ import jupytext
 
 from artifact import datasets
 from artifact.datasets import DatasetError
+from artifact.datasets.appearance import STATISTICS
 from artifact.manifest import Manifest, ManifestError
 
 
@@ -151,6 +152,11 @@ def _similarity(value: Any, _: Manifest) -> str | None:
     return None if value in ("cosine", "l2", "dot") else "allowed: 'cosine', 'l2', 'dot'"
 
 
+def _statistics(value: Any, _: Manifest) -> str | None:
+    good = isinstance(value, list) and value and all(item in STATISTICS for item in value)
+    return None if good else f"allowed: a list of {_quoted(STATISTICS)}"
+
+
 def _same_type(default: Any) -> _Check:
     """Accept values of the type of the default; a whole number is a number."""
 
@@ -179,4 +185,7 @@ _CHECKS: dict[str, _Check] = {
     "distances": _numbers(0, float("inf")),
     "fraction": _number(0, 1),
     "fractions": _numbers(0, 1),
+    "share": _number(0, 1),
+    "iterations": _integer(1),
+    "statistics": _statistics,
 }

@@ -6,18 +6,23 @@ stored ranking when every input is the same.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from artifact import datasets, extract, ranking, store
+from artifact import datasets, extract, matching, ranking, rerank, store
 from artifact.archive import stored
+from artifact.candidates import Images
 from artifact.datasets import Dataset
 from artifact.extract import Descriptors
-from artifact.manifest import Manifest
+from artifact.manifest import Manifest, ManifestError
 from artifact.metrics import Evaluation, evaluate
+
+# Random draws of the sweep over the number of distractors, for two-stage methods: each asks for scores of more pairs.
+_DRAWS_BY_DESCRIPTORS, _DRAWS_BY_LOCAL_FEATURES = 10, 3
 
 
 @dataclass(frozen=True)
@@ -116,7 +121,7 @@ def evaluation(
     seed: int = 0,
     device: Any = None,
 ) -> Measured:
-    """Evaluate a method on a dataset.
+    """Evaluate a method on a dataset; a method that re-ranks gives a :class:`~artifact.rerank.TwoStageEvaluation`.
 
     Parameters
     ----------
@@ -135,6 +140,10 @@ def evaluation(
         As in :func:`artifact.evaluate`.
     """
     names = list(distractors)
+    if manifest.method(method).rerank is not None:
+        if similarity != "cosine":
+            raise ValueError(f"similarity is {similarity!r}; the two stages of {method} compare in their own ways")
+        return _two_stage(manifest, dataset, method, names, pool_size, retrieve, seed, device)
     described = describe(manifest, dataset, method, names, device=device)
     loaded = described.dataset
     options = {"retrieve": retrieve, "seed": seed, "similarity": similarity}
@@ -144,12 +153,12 @@ def evaluation(
     )  # fmt: skip
 
     def compute() -> dict[str, Evaluation]:
-        pools = {name: _pool(loaded, name, described.descriptors[name], pool_size, seed) for name in names}
+        chosen = {name: _pool_rows(loaded, name, pool_size, seed) for name in names}
         result = evaluate(
             described.query.values, described.database.values, loaded.query.positions, loaded.database.positions,
             loaded.threshold,
-            {name: values for name, (values, _) in pools.items()} or None,
-            {name: positions for name, (_, positions) in pools.items()} or None,
+            {name: described.descriptors[name].values[rows] for name, rows in chosen.items()} or None,
+            {name: loaded.traversals[name].positions[rows] for name, rows in chosen.items()} or None,
             device=device, **options,
         )  # fmt: skip
         return {"evaluation": result}
@@ -158,20 +167,77 @@ def evaluation(
     return Measured(result["evaluation"], loaded, method, described.inputs)
 
 
-def _pool(
-    dataset: Dataset, name: str, described: Descriptors, size: int | None, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Descriptors and positions of a distractor pool; the query traversal gives its evaluated queries."""
-    values, positions = described.values, dataset.traversals[name].positions
+def _pool_rows(dataset: Dataset, name: str, size: int | None, seed: int) -> np.ndarray | slice:
+    """Which images of a traversal are a distractor pool; of the query traversal, the evaluated queries."""
+    positions = dataset.traversals[name].positions
+    rows: np.ndarray | slice = slice(None)
     if name == dataset.query_name:
         starts, _ = ranking.positives_of(positions, dataset.database.positions, dataset.threshold)
-        evaluated = np.flatnonzero(np.diff(starts))
-        values, positions = values[evaluated], positions[evaluated]
-    if size is not None:
-        if size > len(positions):
-            raise ValueError(
-                f"{dataset.name}/{name} has {len(positions)} images for a pool of {size}; ask for at most that"
-            )
-        chosen = np.sort(np.random.default_rng(seed).choice(len(positions), size, replace=False))
-        values, positions = values[chosen], positions[chosen]
-    return values, positions
+        rows = np.flatnonzero(np.diff(starts))
+    if size is None:
+        return rows
+    members = np.arange(len(positions))[rows]
+    if size > len(members):
+        raise ValueError(f"{dataset.name}/{name} has {len(members)} images for a pool of {size}; ask for at most that")
+    return members[np.sort(np.random.default_rng(seed).choice(len(members), size, replace=False))]
+
+
+# -- two-stage methods --------------------------------------------------------------------------------------
+
+
+def _two_stage(
+    manifest: Manifest, dataset: str, method: str, names: list[str], pool_size: int | None, retrieve: int, seed: int,
+    device: Any,
+) -> Measured:  # fmt: skip
+    entry = manifest.method(method)
+    if entry.local_features is None and entry.code_bits is None:
+        raise ManifestError(
+            f"{manifest.path}: methods.{method} re-ranks {entry.rerank} candidates, but does not say by what; add "
+            f"local_features (with shape) or code_bits"
+        )
+    loaded = datasets.load(manifest, dataset, names)
+    extract.check_disk(manifest, loaded.traversals.values(), [method])
+    described = describe(manifest, dataset, method, names, device=device)
+    shared = {
+        "revision": rerank.REVISION, "inputs": described.key_inputs(), "candidates": entry.rerank, "seed": seed,
+        "second": {name: extract.second_stage_key(t, method, entry) for name, t in loaded.traversals.items()},
+        "pools": names, "pool_size": pool_size,
+    }  # fmt: skip
+    record = {"dataset": dataset, "method": method}
+    draws = _DRAWS_BY_DESCRIPTORS if entry.local_features is None else _DRAWS_BY_LOCAL_FEATURES
+    scores = matching.cosines if entry.local_features is None else matching.LocalMatcher(device=device)
+
+    @functools.cache
+    def images(name: str) -> Images:
+        values = described.descriptors[name].values
+        second = extract.second_stage(manifest, loaded.traversals[name], method, device=device)
+        positions = loaded.traversals[name].positions
+        if entry.local_features is None:
+            return Images.of(second[np.arange(len(second))], values, positions)
+        return Images.of(values, second, positions)
+
+    @functools.cache
+    def pool(name: str) -> Images | None:
+        return images(name).take(_pool_rows(loaded, name, pool_size, seed)) if name in names else None
+
+    def compute() -> dict[str, np.ndarray]:
+        return rerank.evaluate_two_stage(
+            images(loaded.query_name), images(loaded.database_name), loaded.threshold, scores,
+            {name: pool(name) for name in names}, candidates=entry.rerank, retrieve=retrieve, seed=seed,
+        ).arrays()  # fmt: skip
+
+    @functools.cache
+    def sweep_of(name: str) -> rerank.Sweep:
+        def compute_sweep() -> dict[str, np.ndarray]:
+            return rerank.sweep(
+                images(loaded.query_name), images(loaded.database_name), loaded.threshold, scores, pool(name),
+                candidates=entry.rerank, draws=draws, seed=seed,
+            ).arrays()  # fmt: skip
+
+        key = store.key(stage="two-stage sweep", pool=name, draws=draws, **shared)
+        return rerank.Sweep.from_arrays(stored(manifest, key, compute_sweep, {**record, "stage": "two-stage sweep"}))
+
+    key = store.key(stage="two-stage ranking", retrieve=retrieve, **shared)
+    arrays = stored(manifest, key, compute, {**record, "stage": "two-stage ranking"})
+    result = rerank.TwoStageEvaluation.from_arrays(arrays, sweep_of)
+    return Measured(result, loaded, method, described.inputs)

@@ -15,7 +15,9 @@ from matplotlib.lines import Line2D
 QUERY_COLOUR = "#78a0ff"
 DISTRACTOR_COLOUR = "#0000ff"
 DATABASE_COLOUR = "#ffa500"
+FITTING_COLOUR = "#808080"
 RIGHT_COLOUR, WRONG_COLOUR = "#2e8b57", "#d1495b"
+SUPPRESSION_COLOURS = {"INLP": "#1f77b4", "LEACE": "#d62728", "STD": "#2ca02c"}
 
 
 @dataclass(frozen=True)

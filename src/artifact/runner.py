@@ -24,7 +24,7 @@ import papermill
 from papermill.exceptions import PapermillExecutionError
 from tqdm import tqdm
 
-from artifact import datasets, extract, methods, parameters, store
+from artifact import datasets, extract, methods, parameters, store, weights
 from artifact.manifest import Manifest
 
 _RUN_WITH = ("papermill", "ipykernel", "numpy", "torch", "scikit-learn", "pandas", "matplotlib")
@@ -142,6 +142,8 @@ def prepare(manifest: Manifest, tasks: Sequence[Task], *, device: str | None = N
     loaded = {
         name: load_all(manifest, name) for name in dict.fromkeys(name for task in tasks for name in task.datasets)
     }
+    extracted = {m for d, m in pairs for t in loaded[d] if t.has_images and not extract.is_ready(manifest, t, m)}
+    weights.require({method: manifest.method(method) for method in sorted(extracted)})
     for dataset, method in pairs:
         for traversal in loaded[dataset]:
             extract.descriptors(manifest, traversal, method, device=device, progress=True)

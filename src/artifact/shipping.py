@@ -12,11 +12,12 @@ import numpy as np
 
 from artifact import datasets, extract, store
 from artifact.datasets import shipped
+from artifact.datasets.appearance import appearance, appearance_key
 from artifact.manifest import Manifest
 
 
 def ship(manifest: Manifest, dataset: str, methods: Iterable[str]) -> list[str]:
-    """Store a dataset's descriptors in the package.
+    """Store a dataset's descriptors and image statistics in the package.
 
     Parameters
     ----------
@@ -43,6 +44,12 @@ def ship(manifest: Manifest, dataset: str, methods: Iterable[str]) -> list[str]:
     record = {t.name: {"image_names": list(t.image_names), "digest": t.digest} for t in traversals}
     store.write_json(folder / "traversals.json", record)
     written = []
+    for traversal in traversals:
+        path = folder / f"{traversal.name}-appearance.npy"
+        with store.replacing(path) as temporary:
+            np.save(temporary, appearance(traversal, store.cache_folder(manifest.path.parent)))
+        store.write_json(path.with_suffix(".json"), {"key": appearance_key(traversal), "traversal": traversal.name})
+        written.append(str(path))
     for method in methods:
         for traversal in traversals:
             found = extract.descriptors(manifest, traversal, method, progress=True)

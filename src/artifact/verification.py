@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from artifact import datasets, paper, store, studies
+from artifact import datasets, paper, store, studies, weights, weights_lock
 from artifact.datasets import shipped
 from artifact.manifest import Manifest
 
@@ -24,12 +24,13 @@ def verify(manifest: Manifest, profile: str) -> tuple[list[str], int]:
     lines
         What was checked, for the user.
     faults
-        Number of damaged files and of measurements more than 1 percentage point from the paper's.
+        Number of damaged files, of changed weights and of measurements more than 1 percentage point from the paper's.
     """
     lines, damaged = _verify_files(store.cache_folder(manifest.path.parent))
     more, shipped_damaged = _verify_files(shipped.folder())
+    weighed, changed = _verify_weights(manifest, profile)
     compared, different = _compare(manifest, profile)
-    return [*lines, *more, *compared], damaged + shipped_damaged + different
+    return [*lines, *more, *weighed, *compared], damaged + shipped_damaged + changed + different
 
 
 def _verify_files(folder: Path) -> tuple[list[str], int]:
@@ -43,6 +44,20 @@ def _verify_files(folder: Path) -> tuple[list[str], int]:
             if store.digest_of_file(path) != sidecar.get("sha256"):
                 faults.append(f"DAMAGED {path}: its content differs from its sidecar; delete both and run again")
     return [f"{folder}: {checked} stored results, {len(faults)} damaged", *faults], len(faults)
+
+
+def _verify_weights(manifest: Manifest, profile: str) -> tuple[list[str], int]:
+    """Recompute the digest of the profile's weights, whatever their modification time says."""
+    checked, faults = 0, []
+    for name in manifest.profile(profile).methods:
+        entry = manifest.method(name).weights
+        paths = [weights.path_of(entry, file) for file in entry.files] if entry else []
+        for path in paths:
+            if path.exists() and weights_lock.path_of(path).exists():
+                checked += 1
+                if store.digest_of_file(path) != weights_lock.read(path)["sha256"]:
+                    faults.append(f"CHANGED   {path}: its content differs from its lock file; fetch it anew")
+    return [f"{checked} files of weights, {len(faults)} changed", *faults] if checked else [], len(faults)
 
 
 def _compare(manifest: Manifest, profile: str) -> tuple[list[str], int]:

@@ -13,6 +13,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 
 def folder() -> Path:
     """Return the package folder of shipped descriptors."""
@@ -31,6 +33,12 @@ def traversal(dataset: str, name: str) -> tuple[list[str], str] | None:
 def descriptors(key: str) -> Path | None:
     """Return the shipped ``.npy`` file that was made under ``key``, or ``None`` if there is none."""
     return next((path for path, sidecar in _sidecars() if sidecar["key"] == key), None)
+
+
+def appearance(key: str) -> np.ndarray | None:
+    """Return the shipped image statistics that were made under ``key``, or ``None`` if there are none."""
+    path = descriptors(key)
+    return None if path is None else np.load(path, allow_pickle=False)
 
 
 def _sidecars() -> Iterator[tuple[Path, dict[str, Any]]]:

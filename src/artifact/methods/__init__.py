@@ -1,18 +1,24 @@
 """Descriptor models by name.
 
 A model is a ``torch.nn.Module`` in eval mode: images ``(b, c, h, w)`` float32, already prepared as the method's
-manifest entry says, to unit-length descriptors ``(b, d)`` float32.
+manifest entry says, to unit-length descriptors ``(b, d)`` float32. :func:`build` gives the architecture, :func:`load`
+and :func:`model_of` the model with its released weights.
 """
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from artifact.manifest import ManifestError, MethodEntry
+from artifact import manifest as manifests
+from artifact import weights
+from artifact.manifest import Manifest, ManifestError, MethodEntry, WeightsFile
+from artifact.weights import WeightsError
 
 if TYPE_CHECKING:
+    import torch
     from torch import nn
 
 # Where each model is built. Raise a revision when the descriptors of that model change: it is part of the
@@ -71,14 +77,111 @@ def build(name: str, **options: Any) -> nn.Module:
     return _function(_BUILDERS[name][0])(**options).eval()
 
 
+def load(name: str, manifest: Manifest | None = None) -> nn.Module:
+    """Return a method of the manifest with its released weights, verified, in eval mode.
+
+    Parameters
+    ----------
+    name
+        A method of the manifest.
+    manifest
+        Default: the nearest ``data_manifest.yaml``.
+
+    Raises
+    ------
+    ManifestError
+        If the manifest has no such method.
+    WeightsError
+        If the weights are missing (the message says how to get them), have changed, or do not fit the model.
+
+    Examples
+    --------
+    >>> type(load("hog")).__name__
+    'HOG'
+    """
+    return model_of(name, (manifest or manifests.load()).method(name))
+
+
 def model_of(name: str, entry: MethodEntry) -> nn.Module:
-    """Build the model of a manifest entry: its ``builder`` if it has one, else the library's model of that name.
+    """Return the model of a manifest entry: its ``builder``'s, or the library's of that name, with its weights.
+
+    A method of the paper is never returned untrained.
 
     Raises
     ------
     ManifestError
         If the entry names no builder and the library has no such model, or the builder cannot be imported.
+    WeightsError
+        If the weights are missing (the message says how to get them), have changed, or do not fit the model.
     """
+    if entry.weights is None:
+        if weights.is_required(entry):
+            raise WeightsError(weights.state(name, entry).detail)
+        return _untrained(name, entry)
+    from artifact import checkpoints
+
+    weights.require({name: entry})
+    check = _check(name, entry)
+    paths = [weights.verified(name, entry.weights, file, check) for file in entry.weights.files]
+    state: dict[str, torch.Tensor] = {}
+    try:
+        for file, path in zip(entry.weights.files, paths, strict=True):
+            state |= checkpoints.read(path, container=file.container, tensor=file.tensor)
+        return checkpoints.load_into(_empty(name, entry), state)
+    except checkpoints.CheckpointError as error:
+        raise WeightsError(f"{name}: {', '.join(map(str, paths))} {error}") from None
+
+
+def fetch(name: str, entry: MethodEntry, *, progress: bool = True) -> None:
+    """Download and examine what is missing of a method's weights; see :func:`artifact.weights.fetch`.
+
+    Raises
+    ------
+    WeightsError
+        If a file cannot be had or is not the method's; the message says what to do by hand.
+    """
+    if entry.weights is not None:
+        weights.fetch(name, entry.weights, _check(name, entry), progress=progress)
+    elif weights.is_required(entry):
+        raise WeightsError(weights.state(name, entry).detail)
+
+
+def _check(name: str, entry: MethodEntry) -> weights.Check:
+    """Return the question whether a file of weights fits the part of the model that it is for."""
+
+    def digest(file: WeightsFile, found: Path) -> str:
+        from artifact import checkpoints
+
+        try:
+            state = checkpoints.read(found, container=file.container, tensor=file.tensor)
+            faults = checkpoints.faults(state, _part(file, entry, _empty(name, entry).state_dict()))
+        except checkpoints.CheckpointError as error:
+            raise WeightsError(f"{file.file} {error}") from None
+        if faults:
+            raise WeightsError("\n    ".join([f"{file.file} does not fit the model", *faults]))
+        return checkpoints.digest(state)
+
+    return digest
+
+
+def _part(file: WeightsFile, entry: MethodEntry, model: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Return the tensors of the model that one file is for: the one it names, or all that no other file names."""
+    files = entry.weights.files if entry.weights else []
+    elsewhere = {other.tensor for other in files if other.tensor is not None}
+    return {key: value for key, value in model.items() if (key == file.tensor if file.tensor else key not in elsewhere)}
+
+
+def _empty(name: str, entry: MethodEntry) -> nn.Module:
+    """Return a model to be filled: without memory for its weights, where that can be had."""
+    import torch
+
+    if entry.builder is not None:
+        return _untrained(name, entry)
+    with torch.device("meta"):
+        return _untrained(name, entry)
+
+
+def _untrained(name: str, entry: MethodEntry) -> nn.Module:
     if entry.builder is not None:
         return _as_module(_function(entry.builder)())
     if name not in _BUILDERS:
@@ -96,6 +199,8 @@ def fingerprint(name: str, entry: MethodEntry) -> dict[str, Any]:
         inputs["builder"] = entry.builder
     else:
         inputs["revision"] = _BUILDERS[name][1] if name in _BUILDERS else 0
+    if entry.weights is not None:
+        inputs["weights"] = weights.digests(entry.weights)
     if entry.batch_dependent:
         inputs["batch_size"] = entry.batch_size
     return inputs

@@ -5,6 +5,17 @@ record of its inputs.
 """
 
 from artifact.studies.common import METRICS, PERCENT, Study, origin
+from artifact.studies.erased import KINDS, Erased, what_is_erased
+from artifact.studies.maps import (
+    Embedding,
+    MixedDatabase,
+    embedding,
+    embedding_table,
+    mixed_database,
+    mixed_database_suppressed,
+    mixed_table,
+    nearest_share,
+)
 from artifact.studies.retrieval import (
     datasets_table,
     distractor_condition,
@@ -20,22 +31,44 @@ from artifact.studies.suppression import (
     improved,
     irrelevant_conditions,
     mean_by_fraction,
+    order_of_fitting,
     single_against_multi,
     summary,
     suppression_table,
 )
+from artifact.studies.within import within_session
 
 __all__ = [
+    "KINDS",
     "METRICS",
     "PERCENT",
+    "Embedding",
+    "Erased",
+    "MixedDatabase",
     "Study",
     "datasets_table",
     "distractor_condition",
     "distractor_distance",
     "distractor_number",
+    "embedding",
+    "embedding_table",
+    "fitting_fraction",
+    "improved",
     "input_in_words",
+    "irrelevant_conditions",
+    "mean_by_fraction",
     "methods_table",
+    "mixed_database",
+    "mixed_database_suppressed",
+    "mixed_table",
+    "nearest_share",
+    "order_of_fitting",
     "origin",
     "recall_table",
+    "single_against_multi",
+    "summary",
+    "suppression_table",
+    "what_is_erased",
     "with_means",
+    "within_session",
 ]

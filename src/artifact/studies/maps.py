@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from artifact import datasets as data
 from artifact import store, suppressed
@@ -45,6 +47,11 @@ class MixedDatabase:
     queries: np.ndarray
     database: np.ndarray
     fitted_queries: np.ndarray
+
+    @property
+    def inputs(self) -> tuple[dict[str, Any], ...]:
+        """One record per traversal, for provenance."""
+        return self.described.inputs
 
 
 def mixed_database(
@@ -169,6 +176,50 @@ def embedding(
     partners = mutual_neighbours(*places)
     partners[:, 1] += len(region.evaluation_queries)
     return Embedding(found["before"], found["after"], len(region.evaluation_queries), partners, described)
+
+
+def mixed_table(found: Mapping[str, MixedDatabase]) -> pd.DataFrame:
+    """Return one row per method, evaluation and query: where it is, what it retrieves, and whether that is right.
+
+    Columns: ``method``, ``evaluation``, ``query`` (index in the query traversal), ``retrieved`` (index; the added
+    frames follow the database images), ``right``.
+    """
+    frames = []
+    for method, one in found.items():
+        for name, result in one.evaluations.items():
+            frames.append(
+                pd.DataFrame(
+                    {
+                        "method": method,
+                        "evaluation": name,
+                        "query": one.queries[result.evaluated],
+                        "retrieved": result.retrieved(1, distractors=False)[0][:, 0],
+                        "right": result.hits(1, distractors=False),
+                    }
+                )
+            )
+    return pd.concat(frames, ignore_index=True)
+
+
+def embedding_table(one: Embedding) -> pd.DataFrame:
+    """Return one row per point: ``condition`` (query or database), and its place before and after."""
+    condition = np.where(np.arange(len(one.before)) < one.n_queries, "query", "database")
+    columns = {
+        "before_x": one.before[:, 0],
+        "before_y": one.before[:, 1],
+        "after_x": one.after[:, 0],
+        "after_y": one.after[:, 1],
+    }
+    return pd.DataFrame({"condition": condition, **columns})
+
+
+def nearest_share(points: np.ndarray, one: Embedding) -> float:
+    """Return the share of points whose nearest neighbour in the plane has the other condition."""
+    from scipy.spatial import cKDTree
+
+    nearest = cKDTree(points).query(points, 2)[1][:, 1]
+    is_query = np.arange(len(points)) < one.n_queries
+    return float((is_query != is_query[nearest]).mean())
 
 
 def mutual_neighbours(first: np.ndarray, second: np.ndarray) -> np.ndarray:

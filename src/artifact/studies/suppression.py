@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from artifact import datasets as data
-from artifact import suppressed
+from artifact import paper, suppressed
 from artifact.manifest import Manifest
 from artifact.metrics import Evaluation, evaluate
 from artifact.pipeline import Described, Measured, describe
@@ -158,6 +158,22 @@ def mean_by_fraction(table: pd.DataFrame) -> pd.DataFrame:
     whole = table[pairs == wanted]
     means = whole.groupby(["suppression", "fraction"], sort=False)[["change_DAR", "change_R"]]
     return means.mean().assign(pairs=means.size()).reset_index()
+
+
+FITTING_ORDER = ("nordland", "amstertime", "gardens_point", "svox", "robotcar", "st_lucia")
+"""Order in which the paper fits and composes the transforms of its datasets."""
+
+
+def order_of_fitting(manifest: Manifest, names: Iterable[str]) -> list[str]:
+    """Put datasets into the paper's order of fitting, by the dataset that each is or mirrors; others come last."""
+    reported = {title.replace("StLuciaMToD", "St Lucia"): name for name, title in paper.dataset_titles().items()}
+
+    def place(name: str) -> int:
+        entry = data.entry_of(manifest, name)
+        standing_for = entry.reported_as or reported.get(entry.mirrors or "")
+        return FITTING_ORDER.index(standing_for) if standing_for in FITTING_ORDER else len(FITTING_ORDER)
+
+    return sorted(names, key=place)
 
 
 def single_against_multi(

@@ -1,127 +1,20 @@
-"""How the book shows results: tables in the paper's form, verdicts, downloads and provenance, as HTML.
-
-Everything is plain HTML with classes that ``book/_static/artifact.css`` styles for light and dark pages. Nothing
-is fetched: downloads are embedded in the page.
-"""
+"""Tables I to III, the protocol, and what each page says of itself."""
 
 from __future__ import annotations
 
-import base64
 import html
-import os
-import platform
-import subprocess
-from collections.abc import Iterable, Mapping, Sequence
-from datetime import UTC, datetime
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
 from IPython.display import HTML
 
 from artifact import paper
-from artifact.findings import PAGES, Finding
 from artifact.manifest import Manifest
 from artifact.notebook import Page
 from artifact.protocol import Decision
-from artifact.studies import METRICS, Study, input_in_words, with_means
-
-
-def finding(*findings: Finding) -> HTML:
-    """Show claims of the paper, what this run measured, and whether they agree."""
-    return HTML("".join(_one_finding(item) for item in findings))
-
-
-def _one_finding(item: Finding) -> str:
-    rows = {
-        "Claim": item.claim,
-        "Paper": item.paper,
-        "This run": f"{html.escape(item.found)} {_agreement(item.agrees)}",
-    }
-    listed = "".join(
-        f'<div class="row"><span class="tag">{tag}</span><span>{text}</span></div>' for tag, text in rows.items()
-    )
-    return f'<div class="claim">{listed}</div>'
-
-
-def _agreement(agrees: bool | None) -> str:
-    label, style = {
-        True: ("agrees", "agrees"), False: ("does not agree", "disagrees"), None: ("cannot tell", "open"),
-    }[agrees]  # fmt: skip
-    return f'<span class="verdict {style}">{label}</span>'
-
-
-def findings_table(findings: Sequence[Finding]) -> HTML:
-    """Show all findings as one table with links to their pages."""
-    rows = [
-        {
-            "Claim": html.escape(item.claim),
-            "The paper": html.escape(item.paper),
-            "This run": html.escape(item.found),
-            "Verdict": _agreement(item.agrees),
-            "Page": f'<a href="{item.page}.html">{PAGES[item.page]}</a>',
-        }
-        for item in findings
-    ]
-    return table(pd.DataFrame(rows), escape=False, classes="findings")
-
-
-def number(value: float, *, digits: int | None = None) -> str:
-    """Print a percentage as the paper does: three significant digits, two decimals at most.
-
-    Examples
-    --------
-    >>> number(95.92), number(4.207), number(0.29), number(100.0), number(float("nan"))
-    ('95.9', '4.21', '0.29', '100', '–')
-    """
-    if pd.isna(value):
-        return "–"
-    if digits is None:
-        digits = 2 if abs(value) < 9.995 else 1 if abs(value) < 99.95 else 0
-    return f"{value:.{digits}f}"
-
-
-def interval(low: float, high: float) -> str:
-    """Print an interval in percent."""
-    return f"[{number(low, digits=1)}, {number(high, digits=1)}]"
-
-
-def table(
-    frame: pd.DataFrame, *, numeric: Iterable[str] = (), caption: str = "", classes: str = "", escape: bool = True
-) -> HTML:  # fmt: skip
-    """Show a frame as a plain table; columns named in ``numeric`` are set flush right."""
-    right = set(numeric)
-    head = "".join(f'<th class="{"right" if c in right else ""}">{html.escape(str(c))}</th>' for c in frame.columns)
-    body = "".join(
-        "<tr>"
-        + "".join(
-            f'<td class="{"right" if column in right else ""}">{html.escape(str(value)) if escape else value}</td>'
-            for column, value in zip(frame.columns, row, strict=True)
-        )
-        + "</tr>"
-        for row in frame.itertuples(index=False)
-    )
-    text = f"<caption>{caption}</caption>" if caption else ""
-    return HTML(
-        f'<div class="scroll"><table class="results {classes}">{text}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
-    )
-
-
-def marks(values: Sequence[float]) -> list[str]:
-    """Return ``best``, ``second``, ``worst`` or nothing for each value of a column; equal values share a mark.
-
-    Examples
-    --------
-    >>> marks([3.0, 1.0, 2.0, 3.0])
-    ['best', 'worst', 'second', 'best']
-    """
-    levels = sorted({value for value in values if not pd.isna(value)}, reverse=True)
-    if len(levels) < 2:
-        return ["" for _ in values]
-    named = {levels[-1]: "worst", levels[1]: "second", levels[0]: "best"}
-    if len(levels) == 2:
-        named[levels[1]] = "worst"
-    return [named.get(value, "") for value in values]
+from artifact.report.common import interval, marks, number, table
+from artifact.studies import METRICS, input_in_words, with_means
 
 
 def recall_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1, label: str) -> HTML:
@@ -175,14 +68,23 @@ def reported_recall_table() -> HTML:
 
 
 def _recall_html(heads, titles, columns, marked, ranks, k, label) -> HTML:
-    top = "".join(f'<th colspan="3" class="group">{html.escape(head)}</th>' for head in heads)
-    sub = "".join(f'<th class="right">{metric}@{k}</th>' for _ in heads for metric in METRICS)
+    pinned = {metric: f" mean mean-{metric}" for metric in METRICS}  # the means stay in view while the rest scrolls
+    top = "".join(
+        f'<th colspan="3" class="group{" mean mean-R" if head == heads[-1] else ""}">{html.escape(head)}</th>'
+        for head in heads
+    )
+    sub = "".join(
+        f'<th class="right{pinned[metric] if head == heads[-1] else ""}">{metric}@{k}</th>'
+        for head in heads
+        for metric in METRICS
+    )
     body = []
     for index, (method, title) in enumerate(titles.items()):
         row = f"<th>{html.escape(title)}</th>"
         for (name, metric), values in columns.items():
             rank = f"<sup>{ranks[method, metric]}</sup>" if name == "mean" else ""
-            row += f'<td class="right {marked[name, metric][index]}">{number(values[index])}{rank}</td>'
+            where = pinned[metric] if name == "mean" else ""
+            row += f'<td class="right {marked[name, metric][index]}{where}">{number(values[index])}{rank}</td>'
         body.append(f"<tr>{row}</tr>")
     return HTML(
         f'<div class="scroll"><table class="results recall"><caption>{label}</caption><thead><tr><th></th>{top}</tr>'
@@ -245,11 +147,6 @@ def sensitivity_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int 
         }
     )
     return table(shown, numeric=list(shown.columns[2:]), caption="Changes in percentage points.")
-
-
-def label(text: str) -> HTML:
-    """Show the line that says what the numbers are from."""
-    return HTML(f'<p class="origin">{html.escape(text)}</p>')
 
 
 def datasets_table(frame: pd.DataFrame) -> HTML:
@@ -356,49 +253,3 @@ def _beside(row: Mapping[str, Any], metric: str) -> str:
     # RSR is a ratio of two counts, so it has no resolution of one query.
     judged = paper.verdict(row[metric], reported, None if metric == "RSR" else row["queries"])
     return f'{text}<small>paper {number(reported)} <span class="verdict {judged}">{judged}</span></small>'
-
-
-def download(frame: pd.DataFrame, name: str) -> HTML:
-    """Offer a frame as a CSV file that is embedded in the page."""
-    text = base64.b64encode(frame.to_csv(index=False).encode()).decode()
-    return HTML(
-        f'<p class="download"><a download="{name}.csv" href="data:text/csv;base64,{text}">Download the data behind '
-        f"this page</a> ({name}.csv, {len(frame)} rows)</p>"
-    )
-
-
-def provenance(parameters: Mapping[str, Any], *studies: Study) -> HTML:
-    """Show what made this page: parameters, inputs with their keys, code revision, machine and time."""
-    inputs = pd.DataFrame([record for study in studies for record in study.inputs]).drop_duplicates()
-    settings = "".join(
-        f"<li><code>{html.escape(k)} = {html.escape(repr(v))}</code></li>" for k, v in parameters.items()
-    )
-    facts = {
-        "Code": code_revision(),
-        "Run": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "Machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
-    }
-    listed = "".join(f"<li>{name}: {html.escape(value)}</li>" for name, value in facts.items())
-    shown = table(inputs, numeric=["images"]).data if len(inputs) else "<p>No descriptors are used here.</p>"
-    return HTML(
-        f'<details class="provenance"><summary>Provenance: parameters, inputs, code, time</summary>'
-        f"<ul>{settings}</ul><ul>{listed}</ul>{shown}</details>"
-    )
-
-
-def code_revision() -> str:
-    """Return the package version and, in a git checkout, the commit and whether files differ from it."""
-    from artifact import __version__
-
-    folder = Path(__file__).resolve().parents[2]
-    try:
-        commit = _git(folder, "rev-parse", "--short=12", "HEAD")
-        changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
-    except (OSError, subprocess.CalledProcessError):
-        return f"artifact {__version__}"
-    return f"artifact {__version__}, commit {commit}{' with local changes' if changed else ''}"
-
-
-def _git(folder: Path, *arguments: str) -> str:
-    done = subprocess.run(["git", "-C", str(folder), *arguments], check=True, capture_output=True, text=True)
-    return done.stdout.strip()

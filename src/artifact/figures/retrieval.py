@@ -1,14 +1,7 @@
-"""The paper's figures, drawn from tidy tables: the same panels, axes, colours and markers.
-
-Every function returns an image that the page embeds, with a text alternative. Measured and reported values are
-never drawn into one figure.
-"""
+"""Figs. 4 to 7: recall with and without distractors."""
 
 from __future__ import annotations
 
-import base64
-import html
-import io
 from collections.abc import Mapping
 
 import numpy as np
@@ -19,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
 
 from artifact import paper
+from artifact.figures.embed import embed
 from artifact.plotting import (
     DATABASE_COLOUR,
     DISTRACTOR_COLOUR,
@@ -28,31 +22,6 @@ from artifact.plotting import (
     method_style,
     percent_axis,
 )
-
-
-def embed(figure: Figure, description: str, *, form: str = "svg", width: int | None = None) -> HTML:
-    """Return a figure as an image inside the page.
-
-    Parameters
-    ----------
-    figure
-        A Matplotlib figure.
-    description
-        Text alternative for readers who do not see it.
-    form
-        ``svg`` for drawings, ``jpeg`` for photographs.
-    width
-        Largest width on the page in pixels; ``None`` is the figure's own.
-    """
-    stream = io.BytesIO()
-    # Without a fixed date equal figures would have different bytes.
-    options = {"metadata": {"Date": None}} if form == "svg" else {"dpi": 150, "pil_kwargs": {"quality": 85}}
-    figure.savefig(stream, format=form, **options)
-    kind = {"svg": "image/svg+xml", "jpeg": "image/jpeg"}[form]
-    data = base64.b64encode(stream.getvalue()).decode()
-    style = f' style="max-width:{width}px"' if width else ""
-    return HTML(f'<img class="figure"{style} alt="{html.escape(description)}" src="data:{kind};base64,{data}">')
-
 
 # -- Fig. 5 -------------------------------------------------------------------------------------------------
 

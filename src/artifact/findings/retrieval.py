@@ -1,60 +1,16 @@
-"""The paper's claims in one line each, and whether the tables of a run agree with them.
-
-A finding is about the data and methods of the run. On other data than the paper's it can support a claim or fail to;
-it never reproduces the paper's numbers.
-"""
+"""Claims on recall, distractors and rankings (paper §V-B and V-C)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from itertools import combinations
 
 import numpy as np
 import pandas as pd
 
-from artifact import datasets as data
-from artifact import studies
-from artifact.manifest import Manifest
+from artifact.findings.finding import CLEARLY_PP, SIMILAR_PP, Finding
 from artifact.statistics import rank_agreement
-from artifact.studies import Study, with_means
-
-CLEARLY_PP = 10.0
-"""Difference in percentage points that counts as "well below" or "large"; the paper gives no number."""
-
-SIMILAR_PP = 5.0
-"""Difference in R@1 in percentage points up to which two methods count as similar."""
-
-
-PAGES = {
-    "tab03": "Table III", "fig05": "Fig. 5", "fig06": "Fig. 6", "fig07": "Fig. 7",
-}  # fmt: skip
-"""Notebooks that show a finding, with their printed titles."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A claim of the paper and what a run says about it.
-
-    Attributes
-    ----------
-    page
-        Notebook that shows it.
-    claim
-        The claim, in one line.
-    paper
-        The paper's evidence, in one line.
-    found
-        What this run measured.
-    agrees
-        ``None`` if this run cannot tell.
-    """
-
-    page: str
-    claim: str
-    paper: str
-    found: str
-    agrees: bool | None
+from artifact.studies import with_means
 
 
 def ranking_changes(table: pd.DataFrame, titles: Mapping[str, str], k: int = 1) -> Finding:
@@ -180,51 +136,3 @@ def own_condition_hurts_most(
         f"{' (not ' + ', '.join(odd) + ')' if odd else ''}; mean DAR@{k} by pool: {shares}",
         bool(len(agree) == len(wide) and least == database_condition),
     )
-
-
-# -- all of them, for the opening page ----------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Collected:
-    """All findings of a run with the studies behind them."""
-
-    findings: tuple[Finding, ...]
-    recall: pd.DataFrame
-    studies: tuple[Study, ...]
-
-
-def collect(manifest: Manifest, names: Sequence[str], methods: Sequence[str], *, seed: int = 0) -> Collected:
-    """Evaluate every claim that the datasets at hand can speak to."""
-    titles = {method: manifest.method(method).title for method in methods}
-    recall = studies.recall_table(manifest, names, methods, seed=seed)
-    found = [
-        distractors_lower_recall(recall.table, titles),
-        ranking_changes(recall.table, titles),
-        similar_recall_hides_differences(recall.table, titles),
-    ]
-    used = [recall]
-    entries = {name: data.entry_of(manifest, name) for name in names}
-    metric = next((name for name, entry in entries.items() if entry.threshold.unit == "metres"), None)
-    if metric is not None:
-        threshold = entries[metric].threshold.value
-        distances = [
-            threshold,
-            *(d for d in (50.0, 75.0, 100.0, 150.0, 200.0) if d > threshold),
-            float("inf"),
-        ]
-        number = studies.distractor_number(manifest, metric, methods, [0, 0.1, 0.2, 0.4, 0.6, 0.8, 1], seed=seed)
-        distance = studies.distractor_distance(manifest, metric, methods, distances, seed=seed)
-        found += [
-            few_distractors_suffice(number.table, titles),
-            near_distractors_hurt_most(distance.table, titles, "metres"),
-        ]
-        used += [number, distance]
-    several = next((name for name, entry in entries.items() if entry.distractor_traversals), None)
-    if several is not None:
-        condition = studies.distractor_condition(manifest, several, methods, seed=seed)
-        entry = entries[several]
-        conditions = [entry.traversals[name].condition for name in (entry.query, entry.database)]
-        found.append(own_condition_hurts_most(condition.table, titles, *conditions))
-        used.append(condition)
-    return Collected(tuple(found), recall.table, tuple(used))

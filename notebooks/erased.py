@@ -1,0 +1,87 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # What is erased
+#
+# *Beyond the paper*: a closer look at one dataset and one method. Where do similarities move, how does DAR change with every
+# INLP iteration, and which distractors stop winning? Fitted on 10 % of the queries around the centre, shown on the rest.
+
+# %% tags=["parameters", "hide-input"]
+profile = "demo"
+dataset = None  # None takes the first dataset of the profile whose images are real, else the first
+method = None  # None takes the last method of the profile
+fraction = 0.1
+iterations = 35
+seed = 0
+
+# %% tags=["hide-input"]
+from IPython.display import Markdown, display
+
+from artifact import figures, galleries, report, studies
+from artifact.notebook import open_page
+
+page = open_page(profile)
+chosen, described = page.choose(dataset, prefer_real=True), method or page.methods[-1]
+erased = studies.what_is_erased(page.manifest, chosen, described, fraction=fraction, iterations=iterations, seed=seed)
+page = page.only(chosen, described)
+
+# %% tags=["remove-input"]
+display(report.label(page.label))
+report.erased_table(erased)
+
+# %% [markdown]
+# ## Similarities
+#
+# A distractor wins when a blue pair is more similar than the query's green pairs. Dotted lines are medians.
+
+# %% tags=["remove-input", "full-width"]
+figures.similarities(erased.similarities, ["original", "LEACE", "INLP"])
+
+# %% tags=["remove-input"]
+Markdown(report.erased_similarities(erased))
+
+# %% [markdown]
+# ## Iteration by iteration
+#
+# INLP removes one direction at a time. The gray curve is the balanced accuracy, on the fitting data, of the classifier that the
+# next iteration fits: at 50 % it finds nothing more to remove.
+
+# %% tags=["remove-input"]
+figures.iterations(erased.iterations)
+
+# %% [markdown]
+# ## Distractors that stop winning
+
+# %% tags=["remove-input"]
+lost, recovered = erased.lost_and_recovered("LEACE")
+display(
+    Markdown(
+        f"Distractors take {len(lost)} queries from the original descriptors; LEACE gives {len(recovered)} of them back. "
+        f"Some of those, spread evenly:"
+    )
+)
+galleries.recovered_strips(erased, "LEACE")
+
+# %% tags=["remove-input"]
+display(report.download(erased.iterations, "erased_iterations"))
+report.provenance(
+    {
+        "profile": profile,
+        "dataset": chosen,
+        "method": described,
+        "fraction": fraction,
+        "iterations": iterations,
+        "seed": seed,
+    },
+    erased.described,
+)

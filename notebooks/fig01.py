@@ -1,0 +1,59 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Fig. 1: what a distractor is
+#
+# A map that many people contribute to can hold the query's place under *another* condition and another place under the
+# *query's* condition. If descriptors tell conditions apart, the second can be the more similar image. One query of this
+# run, with the cosine similarities that the method gave:
+
+# %% tags=["parameters", "hide-input"]
+profile = "demo"
+dataset = None  # None takes the first dataset of the profile whose images are at hand
+method = None  # None takes the last method of the profile
+seed = 0
+
+# %% tags=["hide-input"]
+from IPython.display import Markdown, display
+
+from artifact import galleries, pipeline, report
+from artifact.notebook import open_page
+
+page = open_page(profile)
+chosen = page.choose(dataset, images=True)
+described = method or page.methods[-1]
+measured = pipeline.evaluation(page.manifest, chosen, described, retrieve=1, seed=seed)
+result = measured.evaluation
+taken = int((result.hits(1, distractors=False) & ~result.hits(1, distractors=True)).sum())
+
+# %% tags=["remove-input"]
+page = page.only(chosen, described)
+display(report.label(page.label))
+galleries.distractor_story(measured)
+
+# %% tags=["remove-input"]
+Markdown(
+    f"It is not an exception: distractors take {taken} of the {int(result.hits(1, distractors=False).sum())} queries that "
+    f"{page.method_titles[described]} places rightly on {measured.dataset.title}. The query shown is the one with the median "
+    f"margin. More of them, spread evenly over the traversal:"
+)
+
+# %% tags=["remove-input"]
+galleries.retrieval_strips(measured, n=4)
+
+# %% [markdown]
+# The paper calls the effect *condition bias*: the descriptor answers "under which condition?" before "where?".
+# [Fig. 4](fig04.ipynb) turns it into a measure, [Table III](tab03.ipynb) measures it.
+
+# %% tags=["remove-input"]
+report.provenance({"profile": profile, "dataset": chosen, "method": described, "seed": seed}, measured)

@@ -1,0 +1,60 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Fig. 2: a few images of the query's condition
+#
+# Left: the database holds the other condition only. Right: a few frames of a further traversal, under the query's kind of
+# condition, join it. Each line joins a query with its top-1 retrieval. Recall counts every database image within the
+# threshold as right, the added ones too, so the added images could only help a method that recognises places.
+
+# %% tags=["parameters", "hide-input"]
+profile = "demo"
+dataset = None  # None takes the first dataset of the profile with a traversal of the query's kind of condition
+methods = None  # names from the manifest; None takes all of the profile
+share = 0.05  # of the frames of that traversal
+seed = 0
+
+# %% tags=["hide-input"]
+from IPython.display import display
+
+from artifact import figures, findings, report, studies
+from artifact.notebook import open_page
+
+page = open_page(profile, None, methods)
+chosen = page.choose(dataset, same_condition_traversal=True)
+found = {
+    method: studies.mixed_database(page.manifest, chosen, method, share=share, seed=seed) for method in page.methods
+}
+
+# %% tags=["remove-input", "full-width"]
+page = page.only(chosen)
+display(report.finding(findings.few_images_lower_recall(found, page.method_titles)))
+display(report.label(page.label))
+panels = {"single": "single-condition database", "mixed": "mixed-condition database"}
+figures.mixed_database(found, panels, page.mixed_conditions(chosen), page.method_titles)
+
+# %% [markdown]
+# ## Beside the paper's Fig. 2
+#
+# The paper draws AnyLoc and EigenPlaces on RobotCar. Which frames are added matters: they are drawn at random by the seed.
+
+# %% tags=["remove-input"]
+table = report.mixed_table(found, panels, page.method_titles)
+display(table)
+display(report.reported_mixed_table("fig02"))
+
+# %% tags=["remove-input"]
+display(report.download(studies.mixed_table(found), "fig02_mixed_database"))
+report.provenance(
+    {"profile": profile, "dataset": chosen, "methods": page.methods, "share": share, "seed": seed}, *found.values()
+)

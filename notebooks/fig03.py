@@ -1,0 +1,65 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Fig. 3: descriptors before and after suppression
+#
+# UMAP {cite:p}`mcinnes2018umap` lays descriptors out in the plane. Gray lines join a query and a database image that are
+# each other's nearest neighbour *on the ground*. If condition dominates, the two conditions form separate clouds and the lines
+# are long; if place dominates, the clouds overlap and the lines are short. A picture, not a measure: UMAP bends distances.
+
+# %% tags=["parameters", "hide-input"]
+profile = "demo"
+dataset = None  # None takes the first dataset of the profile with a threshold in metres
+method = None  # None takes the last method of the profile
+fraction = 0.1  # of the queries, for fitting; the rest is shown
+iterations = 35
+seed = 0
+
+# %% tags=["hide-input"]
+from IPython.display import Markdown, display
+
+from artifact import figures, report, studies
+from artifact.notebook import open_page
+
+page = open_page(profile)
+chosen, described = page.choose(dataset, unit=None if dataset else "metres"), method or page.methods[-1]
+one = studies.embedding(page.manifest, chosen, described, fraction=fraction, iterations=iterations, seed=seed)
+
+# %% tags=["remove-input", "full-width"]
+page = page.only(chosen, described)
+display(report.label(page.label))
+figures.embeddings({described: one}, page.conditions(chosen), page.method_titles)
+
+# %% tags=["remove-input"]
+before, after = (100 * studies.nearest_share(points, one) for points in (one.before, one.after))
+Markdown(
+    f"Mixing, measured in the plane: the share of points whose nearest neighbour has the other condition rises from "
+    f"{before:.0f} % to {after:.0f} %."
+    if after > before
+    else f"Mixing, measured in the plane: the share of points whose nearest neighbour has the other condition goes from "
+    f"{before:.0f} % to {after:.0f} %: suppression does not mix these clouds."
+)
+
+# %% tags=["remove-input"]
+display(report.download(studies.embedding_table(one), "fig03_umap"))
+report.provenance(
+    {
+        "profile": profile,
+        "dataset": chosen,
+        "method": described,
+        "fraction": fraction,
+        "iterations": iterations,
+        "seed": seed,
+    },
+    one.described,
+)

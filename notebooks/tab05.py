@@ -1,0 +1,75 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Table V: conditions that nothing was fitted on
+#
+# A transform that is always applied must do no harm where its conditions do not occur. The composed transform of
+# [Table IV](tab04.ipynb) meets pairs of traversals that took no part in any fit. Differences are original minus erased:
+# positive means that erasure lowers the result.
+
+# %% tags=["parameters", "hide-input"]
+profile = "demo"
+datasets = None  # names from the manifest or folders; None takes all of the profile
+methods = None  # names from the manifest; None takes all of the profile
+fraction = 0.1
+iterations = 35
+k = 1
+seed = 0
+
+# %% tags=["hide-input"]
+from IPython.display import display
+
+from artifact import findings, report, studies
+from artifact.notebook import open_page
+
+page = open_page(profile, datasets, methods)
+order = studies.order_of_fitting(page.manifest, page.datasets)
+study = studies.irrelevant_conditions(
+    page.manifest, order, page.methods, fraction=fraction, iterations=iterations, k=k, seed=seed
+)
+if study.table.empty:
+    raise ValueError("no dataset of this page has the key irrelevant_pairs in the manifest")
+summary = studies.summary(study.table, ["suppression", "pair"])
+
+# %% tags=["remove-input"]
+display(report.finding(findings.irrelevant_conditions_unharmed(summary)))
+display(report.label(page.label))
+display(report.equivalence_table(summary, {"suppression": "Method", "pair": "Condition pair"}, k=k))
+report.fitting_order(order, page.dataset_titles)
+
+# %% [markdown]
+# ## The paper's Table V
+
+# %% tags=["remove-input"]
+report.reported_equivalence_table("tab05")
+
+# %% [markdown]
+# ## Every method
+
+# %% tags=["remove-input", "full-width"]
+report.irrelevant_table(study.table, page.method_titles, k=k)
+
+# %% tags=["remove-input"]
+display(report.download(study.table, "tab05_irrelevant_conditions"))
+report.provenance(
+    {
+        "profile": profile,
+        "datasets": order,
+        "methods": page.methods,
+        "fraction": fraction,
+        "iterations": iterations,
+        "k": k,
+        "seed": seed,
+    },
+    study,
+)

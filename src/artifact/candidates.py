@@ -1,0 +1,321 @@
+"""First-stage candidates of every query, and with them all images that distractors could make candidates.
+
+A two-stage method ranks again the first N images of a query's augmented database by its first stage. Which those are
+depends on the distractors in use: fewer of them let images further down move up. A sweep adds distractors in the order
+of a key (their place in a random order, or their distance), so an image can be a candidate at some point of the sweep
+exactly when fewer than N images stand before it that are in the database or are added no later. That is decided
+here from first-stage similarities and keys alone: for a random order about N (1 + ln(pool / N)) images of a query.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from artifact.ranking import positives_of, squared_norms
+
+Scores = Callable[[Any, np.ndarray, Any, np.ndarray], np.ndarray]
+"""Second stage: ``(queries, query rows, images, image rows)`` to ``(p,)`` scores, larger is better."""
+
+POSITIVE, DATABASE, DISTRACTOR = 0, 1, 2
+
+_BLOCK = 64  # queries whose pairs are scored together
+
+
+@dataclass(frozen=True)
+class Images:
+    """What both stages know of a set of images, in one order.
+
+    Attributes
+    ----------
+    first
+        Descriptors ``(n, d)`` float32 or float16, compared by cosine; or hash codes packed eight bits to a byte
+        ``(n, bytes)`` uint8, compared by Hamming distance.
+    second
+        What the second stage reads of an image when indexed by an array of ``rows``: descriptors, or local features.
+    positions
+        ``(n, p)`` float64 in metres or frames.
+    rows
+        ``(n,)`` where each image is in ``second``.
+    """
+
+    first: np.ndarray
+    second: Any
+    positions: np.ndarray
+    rows: np.ndarray
+
+    @classmethod
+    def of(cls, first: np.ndarray, second: Any, positions: np.ndarray) -> Images:
+        """Check and combine what is known of the images.
+
+        Raises
+        ------
+        ValueError
+            If the numbers of images differ or ``first`` is of another type.
+        """
+        where = np.asarray(positions, np.float64)
+        where = where[:, None] if where.ndim == 1 else where
+        if not len(first) == len(second) == len(where) > 0:
+            raise ValueError(
+                f"first stage, second stage and positions are of {len(first)}, {len(second)} and {len(where)} images; "
+                f"all three must be of the same images, at least one"
+            )
+        if first.ndim != 2 or first.dtype not in (np.float32, np.float16, np.uint8):
+            raise ValueError(
+                f"the first stage takes descriptors (n, d) of float32 or float16 or packed codes (n, bytes) of uint8; "
+                f"found {first.dtype} {first.shape}"
+            )
+        return cls(first, second, np.ascontiguousarray(where), np.arange(len(where)))
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def take(self, chosen: np.ndarray) -> Images:
+        """Return some of the images."""
+        return Images(self.first[chosen], self.second, self.positions[chosen], self.rows[chosen])
+
+
+@dataclass(frozen=True)
+class Entries:
+    """Possible candidates of one query in first-stage order: by similarity, then kind, then index.
+
+    Attributes
+    ----------
+    kind
+        ``(e,)`` int8: positive, other database image, or distractor.
+    index
+        ``(e,)`` int64 index in the database or pool.
+    first, second
+        ``(e,)`` float32 scores of the two stages.
+    keys
+        ``(e, k)`` float64 keys of the distractors; 0 for database images.
+    """
+
+    kind: np.ndarray
+    index: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+    keys: np.ndarray
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is evaluated: the queries that have a positive, and the database.
+
+    Attributes
+    ----------
+    queries, evaluated
+        The evaluated queries, and their indices among those given.
+    database
+        The database.
+    starts, positives
+        The positives of query ``i`` are ``positives[starts[i]:starts[i + 1]]``.
+    threshold
+        Distractors are farther than it.
+    candidates
+        N.
+    """
+
+    queries: Images
+    evaluated: np.ndarray
+    database: Images
+    starts: np.ndarray
+    positives: np.ndarray
+    threshold: float
+    candidates: int
+
+    @classmethod
+    def of(cls, queries: Images, database: Images, threshold: float, candidates: int) -> Problem:
+        """Keep the queries that have a positive.
+
+        Raises
+        ------
+        ValueError
+            If there is none.
+        """
+        starts, positives = positives_of(queries.positions, database.positions, threshold)
+        evaluated = np.flatnonzero(np.diff(starts))
+        if evaluated.size == 0:
+            raise ValueError(
+                f"none of the {len(queries)} queries has a database image within the threshold {threshold:g}; "
+                f"check that both positions use the same coordinates and that the threshold is in their unit"
+            )
+        starts = np.concatenate([[0], np.cumsum(np.diff(starts)[evaluated])])
+        return cls(queries.take(evaluated), evaluated, database, starts, positives, threshold, candidates)
+
+
+def scored_entries(
+    problem: Problem, pools: Mapping[str, Images | None], scores: Scores, orders: np.ndarray | None = None
+) -> Iterator[tuple[int, dict[str, Entries]]]:
+    """Yield each query with its possible candidates from the database and each pool, scored by the second stage.
+
+    Parameters
+    ----------
+    problem
+        Queries and database.
+    pools
+        Distractor pools by name; ``None`` is no distractors.
+    scores
+        The second stage; it is asked for each pair once.
+    orders
+        ``None`` for all distractors at once. Else ``(pool, draws)`` places of the images of the only pool in random
+        orders: entries then suffice for any first part of each order and for any minimum distance, and their keys are
+        the places, followed by the negative distance.
+
+    Yields
+    ------
+    query
+        Index among the evaluated queries, ascending.
+    entries
+        By pool.
+
+    Raises
+    ------
+    ValueError
+        If a score is not finite.
+    """
+    compared = {None: _comparable(problem.database.first)}
+    compared |= {name: _comparable(pool.first) for name, pool in pools.items() if pool is not None}
+    wanted = _comparable(problem.queries.first)
+    for start in range(0, len(wanted), _BLOCK):
+        block = range(start, min(start + _BLOCK, len(wanted)))
+        tiles = {name: wanted[block.start : block.stop] @ images.T for name, images in compared.items()}
+        near = [_from_database(problem, query, row) for query, row in zip(block, tiles[None], strict=True)]
+        _score(problem, block, near, problem.database, scores)
+        found = dict.fromkeys(pools, near)
+        for name, pool in pools.items():
+            if pool is not None:
+                far = [
+                    _from_pool(problem, query, row, pool, orders, entries)
+                    for query, row, entries in zip(block, tiles[name], near, strict=True)
+                ]
+                _score(problem, block, far, pool, scores)
+                found[name] = [_merged(*both) for both in zip(near, far, strict=True)]
+        for place, query in enumerate(block):
+            yield query, {name: entries[place] for name, entries in found.items()}
+
+
+def _comparable(first: np.ndarray) -> np.ndarray:
+    """Return float32 rows whose dot product orders images as the first stage does.
+
+    Codes become +1 and -1: the dot product, exact in float32, is the number of bits less twice the Hamming distance.
+    """
+    if first.dtype == np.uint8:
+        return 2.0 * np.unpackbits(first, axis=1).astype(np.float32) - 1.0
+    return (first / np.sqrt(squared_norms(first))[:, None]).astype(np.float32)
+
+
+def _from_database(problem: Problem, query: int, similarity: np.ndarray) -> Entries:
+    """Entries of the database images that are candidates without distractors, under either rule for ties."""
+    n = problem.candidates
+    positives = problem.positives[problem.starts[query] : problem.starts[query + 1]]
+    others = np.ones(len(similarity), bool)
+    others[positives] = False
+    positives, others = _leading(similarity, positives, n), _leading(similarity, np.flatnonzero(others), n)
+    levels, other_levels = similarity[positives], similarity[others]
+    # Positives lead their equals if ties favour the query, and come last if not.
+    positives = positives[np.arange(len(positives)) + _above(other_levels, levels) < n]
+    others = others[np.arange(len(others)) + _above(levels, other_levels) < n]
+    kind = np.repeat(np.array([POSITIVE, DATABASE], np.int8), [len(positives), len(others)])
+    index = np.concatenate([positives, others])
+    keys = np.zeros((len(index), 0))
+    return _sorted(Entries(kind, index, similarity[index], np.empty(len(index), np.float32), keys))
+
+
+def _from_pool(
+    problem: Problem, query: int, similarity: np.ndarray, pool: Images, orders: np.ndarray | None, near: Entries
+) -> Entries:
+    """Entries of the allowed distractors that could be candidates beside the entries of the database."""
+    n = problem.candidates
+    apart = np.linalg.norm(pool.positions - problem.queries.positions[query], axis=1)
+    others = near.first[near.kind == DATABASE]
+    floor = others[n - 1] if len(others) >= n else np.float32(-np.inf)
+    members = np.flatnonzero((apart > problem.threshold) & (similarity > floor))
+    members = _leading(similarity, members, n if orders is None else len(members))
+    levels = similarity[members]
+    before = len(others) - np.searchsorted(others[::-1], levels) + _above(near.first[near.kind == POSITIVE], levels)
+    if orders is None:
+        keys = np.zeros((len(members), 0))
+        members = members[np.arange(len(members)) + before < n]
+    else:
+        keys = np.column_stack([orders[members], -apart[members]])
+        reachable = _reachable(before, keys, n)
+        members, keys = members[reachable], keys[reachable]
+    kind = np.full(len(members), DISTRACTOR, np.int8)
+    return Entries(kind, members, similarity[members], np.empty(len(members), np.float32), keys[: len(members)])
+
+
+def _leading(similarity: np.ndarray, members: np.ndarray, n: int) -> np.ndarray:
+    """Return the ``n`` most similar of some images, most similar first, equal ones by index."""
+    if len(members) > n:
+        values = similarity[members]
+        members = members[values >= np.partition(values, len(values) - n)[len(values) - n]]
+    return members[np.argsort(-similarity[members], kind="stable")[:n]]
+
+
+def _above(descending: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """Return how many of some descending values are strictly above each level."""
+    return len(descending) - np.searchsorted(descending[::-1], levels, side="right")
+
+
+@njit(nogil=True, cache=True)
+def _reachable(before, keys, n):
+    """Tell which distractors, in first-stage order, are candidates at some point of at least one sweep.
+
+    ``before`` is the number of database images before each, ``keys`` ``(images, sweeps)``. A distractor that is added
+    comes with all of smaller or equal keys; it is a candidate then or never.
+    """
+    sweeps = keys.shape[1]
+    smallest, filled = np.empty((sweeps, n)), np.zeros(sweeps, np.int64)
+    reachable = np.zeros(before.size, np.bool_)
+    for image in range(before.size):
+        slots = n - before[image]
+        if slots <= 0:
+            break
+        for sweep in range(sweeps):
+            key, values = keys[image, sweep], smallest[sweep]
+            if filled[sweep] < slots or values[slots - 1] > key:
+                reachable[image] = True
+            if filled[sweep] < n:
+                filled[sweep] += 1
+            elif values[n - 1] <= key:
+                continue
+            slot = filled[sweep] - 1
+            while slot > 0 and values[slot - 1] > key:
+                values[slot] = values[slot - 1]
+                slot -= 1
+            values[slot] = key
+    return reachable
+
+
+def _score(problem: Problem, block: range, parts: list[Entries], images: Images, scores: Scores) -> None:
+    """Write the second-stage scores of a block of queries into their entries."""
+    lengths = [len(entries.index) for entries in parts]
+    if not sum(lengths):
+        return
+    owners = problem.queries.rows[np.repeat(np.arange(block.start, block.stop), lengths)]
+    index = np.concatenate([entries.index for entries in parts])
+    values = scores(problem.queries.second, owners, images.second, images.rows[index])
+    if not np.isfinite(values).all():
+        pair = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise ValueError(
+            f"the second stage scores query {owners[pair]} and image {images.rows[index[pair]]} as {values[pair]}; "
+            f"scores must be finite"
+        )
+    for entries, found in zip(parts, np.split(values, np.cumsum(lengths)[:-1]), strict=True):
+        entries.second[:] = found
+
+
+def _merged(near: Entries, far: Entries) -> Entries:
+    keys = np.concatenate([np.zeros((len(near.index), far.keys.shape[1])), far.keys])
+    names = ("kind", "index", "first", "second")
+    return _sorted(Entries(*(np.concatenate([getattr(near, n), getattr(far, n)]) for n in names), keys))
+
+
+def _sorted(entries: Entries) -> Entries:
+    order = np.lexsort((entries.index, entries.kind, -entries.first))
+    return Entries(*(getattr(entries, n)[order] for n in ("kind", "index", "first", "second", "keys")))

@@ -1,0 +1,128 @@
+"""All findings of a run, for the opening page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+
+from artifact import datasets as data
+from artifact import studies
+from artifact.findings import retrieval, suppression
+from artifact.findings.finding import Finding
+from artifact.manifest import DatasetEntry, Manifest
+from artifact.studies import Study
+
+DISTANCES = (25.0, 50.0, 75.0, 100.0, 150.0, 200.0)
+"""Minimum distractor distances of Fig. 6b, in metres."""
+
+RATIOS = (0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1)
+"""Distractor-to-query ratios of Fig. 6a."""
+
+FRACTIONS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)
+"""Query fitting fractions of Fig. 10."""
+
+
+@dataclass(frozen=True)
+class Collected:
+    """All findings of a run with the studies behind them."""
+
+    findings: tuple[Finding, ...]
+    recall: pd.DataFrame
+    studies: tuple[Study, ...]
+
+
+def collect(manifest: Manifest, names: Sequence[str], methods: Sequence[str], *, seed: int = 0) -> Collected:
+    """Evaluate every claim that the datasets at hand can speak to, in the order of the paper."""
+    titles = {method: manifest.method(method).title for method in methods}
+    entries = {name: data.entry_of(manifest, name) for name in names}
+    recall = studies.recall_table(manifest, names, methods, seed=seed)
+    found = [
+        retrieval.distractors_lower_recall(recall.table, titles),
+        retrieval.ranking_changes(recall.table, titles),
+        retrieval.similar_recall_hides_differences(recall.table, titles),
+    ]
+    used = [recall]
+    for findings, more in (
+        _distractors(manifest, entries, methods, titles, seed),
+        _mixed(manifest, entries, methods, titles, seed),
+        _suppression(manifest, names, methods, titles, seed),
+    ):
+        found += findings
+        used += more
+    return Collected(tuple(found), recall.table, tuple(used))
+
+
+def _distractors(
+    manifest: Manifest,
+    entries: Mapping[str, DatasetEntry],
+    methods: Sequence[str],
+    titles: Mapping[str, str],
+    seed: int,
+) -> tuple[list[Finding], list[Study]]:
+    """Number, distance and condition of distractors, on the first dataset that has what each needs."""
+    found, used = [], []
+    metric = next((name for name, entry in entries.items() if entry.threshold.unit == "metres"), None)
+    if metric is not None:
+        threshold = entries[metric].threshold.value
+        distances = [threshold, *(d for d in DISTANCES if d > threshold), float("inf")]
+        number = studies.distractor_number(manifest, metric, methods, RATIOS, seed=seed)
+        distance = studies.distractor_distance(manifest, metric, methods, distances, seed=seed)
+        found += [
+            retrieval.few_distractors_suffice(number.table, titles),
+            retrieval.near_distractors_hurt_most(distance.table, titles, "metres"),
+        ]
+        used += [number, distance]
+    several = next((name for name, entry in entries.items() if entry.distractor_traversals), None)
+    if several is not None:
+        condition = studies.distractor_condition(manifest, several, methods, seed=seed)
+        entry = entries[several]
+        conditions = [entry.traversals[name].condition for name in (entry.query, entry.database)]
+        found.append(retrieval.own_condition_hurts_most(condition.table, titles, *conditions))
+        used.append(condition)
+    return found, used
+
+
+def _mixed(
+    manifest: Manifest,
+    entries: Mapping[str, DatasetEntry],
+    methods: Sequence[str],
+    titles: Mapping[str, str],
+    seed: int,
+) -> tuple[list[Finding], list[Study]]:
+    """Figs. 2 and 9, on the first dataset with a further traversal of the query's kind of condition."""
+    name = next((name for name, entry in entries.items() if entry.same_condition_traversal), None)
+    if name is None:
+        return [], []
+    mixed = {m: studies.mixed_database(manifest, name, m, seed=seed) for m in methods}
+    suppressed = {m: studies.mixed_database_suppressed(manifest, name, m, seed=seed) for m in methods}
+    inputs = tuple(record for one in mixed.values() for record in one.described.inputs)
+    return [
+        suppression.few_images_lower_recall(mixed, titles),
+        suppression.suppression_helps_mixed_database(suppressed, titles),
+    ], [Study(pd.DataFrame(), inputs)]
+
+
+def _suppression(
+    manifest: Manifest, names: Sequence[str], methods: Sequence[str], titles: Mapping[str, str], seed: int
+) -> tuple[list[Finding], list[Study]]:
+    """Figs. 8 and 10, Tables IV and V."""
+    order = studies.order_of_fitting(manifest, names)
+    changes = studies.suppression_table(manifest, names, methods, seed=seed)
+    multi = studies.single_against_multi(manifest, order, methods, seed=seed)
+    irrelevant = studies.irrelevant_conditions(manifest, order, methods, seed=seed)
+    fractions = studies.fitting_fraction(manifest, names, methods, FRACTIONS, seed=seed)
+    found = [
+        suppression.labels_less_accessible(changes.table),
+        suppression.suppression_raises_dar(changes.table, titles),
+        suppression.suppression_keeps_recall(changes.table, titles),
+        suppression.one_transform_for_all(studies.summary(multi.table, ["suppression"])),
+    ]
+    used = [changes, multi]
+    if len(irrelevant.table):
+        summary = studies.summary(irrelevant.table, ["suppression", "pair"])
+        found.append(suppression.irrelevant_conditions_unharmed(summary))
+        used.append(irrelevant)
+    found.append(suppression.a_tenth_suffices(studies.mean_by_fraction(fractions.table)))
+    return found, [*used, fractions]

@@ -1,0 +1,401 @@
+"""What a two-stage model gives besides descriptors: local features (SelaVPR) or hash codes (SelaVPR++).
+
+They come from the same pass as the descriptors and stand in files of some hundred images each, which are reserved on
+disk before a model runs: the need follows from the manifest and is compared with the free space first. Rows count as
+done by the journal of the descriptors (:mod:`artifact.partial`), which is written after both are on disk. A file is
+complete when its sidecar exists. Reading maps the files into memory.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import uuid
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from artifact import partial, store
+from artifact.manifest import ManifestError, MethodEntry
+
+if TYPE_CHECKING:
+    import torch
+
+REVISION = 1  # raise when the same model and images would give other local features or codes
+
+_FILE_BYTES = 256 * 2**20
+_FILE_IMAGES = 1024
+_UNIT_TOLERANCE = 1e-2  # mixed precision may have computed them
+
+
+# -- what is stored -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Shape and type of what is stored for one image.
+
+    Attributes
+    ----------
+    shape
+        ``(rows, columns, c)`` of the local features; ``(bytes,)`` of packed hash codes, eight bits in each.
+    dtype
+        ``float32`` or ``float16`` for local features, ``uint8`` for codes.
+    bits
+        Length of the hash code; 0 for local features.
+    """
+
+    shape: tuple[int, ...]
+    dtype: str
+    bits: int = 0
+
+    @property
+    def image_bytes(self) -> int:
+        """Bytes of one image."""
+        return math.prod(self.shape) * np.dtype(self.dtype).itemsize
+
+
+def layout_of(entry: MethodEntry) -> Layout | None:
+    """Return what a method's manifest entry says is stored besides descriptors; ``None`` for one-stage methods."""
+    if entry.local_features is not None:
+        return Layout(tuple(entry.local_features.shape), entry.local_features.dtype)
+    if entry.code_bits is not None:
+        return Layout((-(-entry.code_bits // 8),), "uint8", entry.code_bits)
+    return None
+
+
+def both_outputs(model: torch.nn.Module, layout: Layout, label: str) -> Callable[[torch.Tensor], Any]:
+    """Return the model's method that gives descriptors and second output of a batch of images.
+
+    It is ``global_and_local(images)`` for local features, and ``descriptors_and_codes(images)`` for hash codes, which
+    are +1 and -1.
+
+    Raises
+    ------
+    ManifestError
+        If the model has no such method.
+    """
+    name = "descriptors_and_codes" if layout.bits else "global_and_local"
+    both = getattr(model, name, None)
+    if both is None:
+        key = "code_bits" if layout.bits else "local_features"
+        raise ManifestError(f"{label}: the manifest entry has the key {key!r}, but the model has no {name}(images)")
+    return both
+
+
+def _stored_form(values: np.ndarray, layout: Layout) -> np.ndarray:
+    """Check the second output of a batch and turn it into what is stored."""
+    expected = (layout.bits,) if layout.bits else layout.shape
+    if values.shape[1:] != expected:
+        raise ManifestError(
+            f"the model gives {'codes' if layout.bits else 'local features'} of the shape {values.shape[1:]} each, "
+            f"the manifest says {expected}"
+        )
+    if layout.bits:
+        return np.packbits(values > 0, axis=1)
+    lengths = np.linalg.norm(values, axis=-1)
+    if not (np.abs(lengths - 1) < _UNIT_TOLERANCE).all():
+        raise ManifestError(
+            f"local features must be finite and of length 1 along the last axis; found lengths from "
+            f"{lengths.min():.4g} to {lengths.max():.4g}: the model should end with torch.nn.functional.normalize"
+        )
+    return values.astype(layout.dtype, copy=False)
+
+
+# -- disk ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Need:
+    """Disk that the second output of one traversal takes, in bytes: in total, and what is not stored yet."""
+
+    label: str
+    total: int
+    missing: int
+
+
+def check_disk(needs: Iterable[Need], folder: Path, say: Callable[[str], object] | None = None) -> None:
+    """Compare the disk that is needed with what is free, before anything is computed.
+
+    Parameters
+    ----------
+    needs
+        One for each traversal and method.
+    folder
+        The cache folder.
+    say
+        Receives one line with the need and the free space, if anything is missing.
+
+    Raises
+    ------
+    StoreError
+        If the missing part does not fit.
+    """
+    needs = [need for need in needs if need.missing]
+    missing = sum(need.missing for need in needs)
+    if not missing:
+        return
+    nearest = next(f for f in (folder, *folder.parents) if f.exists())
+    free = shutil.disk_usage(nearest).free
+    what = f"local features and codes of {', '.join(need.label for need in needs)}"
+    if missing > free:
+        raise store.StoreError(
+            f"{folder}: {what} need {in_words(missing)} of disk, {in_words(free)} are free. Free some, set "
+            f"{store.CACHE_VARIABLE} to a folder on a larger disk, or store local features as float16 (half the "
+            f"size): 'dtype: float16' below 'local_features' in the method's manifest entry"
+        )
+    if say is not None:
+        say(f"{what} need {in_words(missing)} of disk; {in_words(free)} are free in {folder}")
+
+
+def in_words(n_bytes: int) -> str:
+    """Write a number of bytes for people.
+
+    Examples
+    --------
+    >>> in_words(105_123_000_000), in_words(1_905_152), in_words(64)
+    ('105.1 GB', '1.9 MB', '64 bytes')
+    """
+    for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if n_bytes >= size:
+            return f"{n_bytes / size:.1f} {unit}"
+    return f"{n_bytes} bytes"
+
+
+# -- files --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Files:
+    """Where the second output of one traversal and method is, or will be, on disk.
+
+    Attributes
+    ----------
+    folder
+        Holds ``00000.npy``, ``00000.json``, ...
+    key
+        Content key of all that it is made from.
+    n_images
+        Images of the traversal.
+    layout
+        What is stored per image.
+    """
+
+    folder: Path
+    key: str
+    n_images: int
+    layout: Layout
+
+    @property
+    def images_each(self) -> int:
+        """Images in each file but the last."""
+        return max(1, min(_FILE_IMAGES, _FILE_BYTES // self.layout.image_bytes))
+
+    @property
+    def rows(self) -> list[slice]:
+        """Images of each file."""
+        step = self.images_each
+        return [slice(start, min(start + step, self.n_images)) for start in range(0, self.n_images, step)]
+
+    def path(self, number: int) -> Path:
+        """Return the path of a file."""
+        return self.folder / f"{number:05d}.npy"
+
+    def partial(self, number: int) -> Path:
+        """Return the path of a file while it grows."""
+        return self.folder / f"{number:05d}.partial.npy"
+
+    def shape(self, number: int) -> tuple[int, ...]:
+        """Return the shape of a file's array."""
+        return (self.rows[number].stop - self.rows[number].start, *self.layout.shape)
+
+    def missing(self) -> list[int]:
+        """Return the numbers of the files that are not complete."""
+        return [number for number in range(len(self.rows)) if not self._is_complete(number)]
+
+    def _is_complete(self, number: int) -> bool:
+        sidecar = self.path(number).with_suffix(".json")
+        return sidecar.exists() and self.path(number).exists() and store.read_json(sidecar).get("key") == self.key
+
+    def need(self, label: str) -> Need:
+        """Return the disk that is needed, under the name of method and traversal."""
+        unreserved = [number for number in self.missing() if not self.partial(number).exists()]
+        size = self.layout.image_bytes
+        return Need(label, self.n_images * size, sum(self.shape(number)[0] for number in unreserved) * size)
+
+
+def start(files: Files) -> str:
+    """Reserve the files that are missing, and return a name under which rows may be said to be in them.
+
+    The name is a new one whenever a file had to be made afresh: what a journal says of another name counts for nothing.
+
+    Raises
+    ------
+    StoreError
+        If the disk has no room.
+    """
+    files.folder.mkdir(parents=True, exist_ok=True)
+    record = files.folder / "growing.json"
+    name = store.read_json(record)["name"] if record.exists() else None
+    for number in files.missing():
+        files.path(number).with_suffix(".json").unlink(missing_ok=True)
+        if files.path(number).exists():  # stopped between the last two steps of `complete`
+            files.path(number).replace(files.partial(number))
+        if not _fits(files.partial(number), files, number):
+            name = None
+            _reserve(files.partial(number), files, number)
+    if name is None:
+        name = uuid.uuid4().hex
+        store.write_json(record, {"name": name})
+    return name
+
+
+class Writer(partial.Writer):
+    """Writes descriptors and second output of the same rows; the journal speaks of rows that are on disk in both.
+
+    Parameters
+    ----------
+    path, key, number
+        As for :class:`artifact.partial.Writer`.
+    files
+        Made ready by :func:`start`.
+    """
+
+    def __init__(self, path: Path, key: str, number: int, files: Files) -> None:
+        super().__init__(path, key, number)
+        self._files = files
+        self._maps = {
+            n: np.load(files.partial(n), mmap_mode="r+", allow_pickle=False)
+            for n in range(len(files.rows))
+            if files.partial(n).exists()
+        }
+        self._changed: set[int] = set()
+
+    def write_second(self, rows: slice, values: np.ndarray) -> None:
+        """Write the second output of a range of rows; call it before ``write``, which says that the rows are there.
+
+        Raises
+        ------
+        ManifestError
+            If the shape is not the manifest's, or local features are not finite and of unit length.
+        """
+        values = _stored_form(values, self._files.layout)
+        step = self._files.images_each
+        for number in range(rows.start // step, -(-rows.stop // step)):
+            if number in self._maps:
+                place = self._files.rows[number]
+                begin, end = max(rows.start, place.start), min(rows.stop, place.stop)
+                part = values[begin - rows.start : end - rows.start]
+                self._maps[number][begin - place.start : end - place.start] = part
+                self._changed.add(number)
+
+    def pause(self) -> None:
+        """Bring all written rows to disk, then say so in the journal."""
+        for number in self._changed:
+            self._maps[number].flush()
+        self._changed.clear()
+        super().pause()
+
+
+def complete(files: Files, sidecar: dict[str, Any]) -> None:
+    """Complete the files, all rows of which are written; each one's sidecar comes last."""
+    for number in files.missing():
+        partial_path, path = files.partial(number), files.path(number)
+        with partial_path.open("rb+") as stream:
+            os.fsync(stream.fileno())
+        digest = store.digest_of_file(partial_path)
+        partial_path.replace(path)
+        rows = files.rows[number]
+        record = {"key": files.key, "rows": [rows.start, rows.stop], "shape": list(files.shape(number))}
+        store.write_json(path.with_suffix(".json"), {**sidecar, **record, "sha256": digest})
+
+
+def _fits(path: Path, files: Files, number: int) -> bool:
+    try:
+        stored = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError):
+        return False
+    return stored.shape == files.shape(number) and stored.dtype == files.layout.dtype
+
+
+def _reserve(path: Path, files: Files, number: int) -> None:
+    """Create a file with all its blocks: a memory map that meets a full disk later kills the process."""
+    path.unlink(missing_ok=True)
+    try:
+        np.lib.format.open_memmap(path, mode="w+", dtype=files.layout.dtype, shape=files.shape(number))
+        if hasattr(os, "posix_fallocate"):
+            with path.open("rb+") as stream:
+                os.posix_fallocate(stream.fileno(), 0, path.stat().st_size)
+    except OSError as error:
+        path.unlink(missing_ok=True)
+        raise store.StoreError(
+            f"{path}: no room for {in_words(math.prod(files.shape(number)) * np.dtype(files.layout.dtype).itemsize)} "
+            f"({error}); what is there stays: make room and run again"
+        ) from None
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A traversal's local features or codes, read from disk by indexing with an array of image indices.
+
+    Attributes
+    ----------
+    files
+        Where they are.
+    maps
+        The memory-mapped files.
+    """
+
+    files: Files
+    maps: tuple[np.ndarray, ...] = field(repr=False)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of images, then the shape per image."""
+        return (len(self), *self.files.layout.shape)
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of the values."""
+        return np.dtype(self.files.layout.dtype)
+
+    def __len__(self) -> int:
+        return self.files.n_images
+
+    def __getitem__(self, images: np.ndarray) -> np.ndarray:
+        images = np.asarray(images)
+        out = np.empty((len(images), *self.files.layout.shape), self.dtype)
+        numbers = images // self.files.images_each
+        for number in np.unique(numbers):
+            here = np.flatnonzero(numbers == number)
+            out[here] = self.maps[number][images[here] - number * self.files.images_each]
+        return out
+
+
+def load(files: Files) -> Stored:
+    """Open complete files.
+
+    Raises
+    ------
+    StoreError
+        If one is missing, unreadable or of another shape.
+    """
+    maps = []
+    missing = files.missing()
+    for number in range(len(files.rows)):
+        path = files.path(number)
+        advice = "delete it and its .json and run again"
+        if number in missing:
+            raise store.StoreError(f"{path}: missing or made from other inputs; {advice}")
+        try:
+            values = np.load(path, mmap_mode="r", allow_pickle=False)
+        except (OSError, ValueError) as error:
+            raise store.StoreError(f"{path}: cannot be read ({error}); {advice}") from None
+        if not _fits(path, files, number):
+            raise store.StoreError(f"{path}: holds {values.dtype} {values.shape}, unlike its manifest entry; {advice}")
+        maps.append(values)
+    return Stored(files, tuple(maps))

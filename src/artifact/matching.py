@@ -1,0 +1,174 @@
+"""Second-stage scores: mutual nearest local features (SelaVPR) and the cosine of descriptors (SelaVPR++).
+
+A score belongs to a pair of images alone. Both functions take pairs as two arrays of indices, and load what they
+need of the images a memory budget at a time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+_TILE_ROWS = 512  # features of a candidate that are compared at a time on the CPU
+
+
+def cosines(queries: np.ndarray, query_rows: np.ndarray, images: np.ndarray, image_rows: np.ndarray) -> np.ndarray:
+    """Score pairs of images by the cosine of their descriptors, the second stage of SelaVPR++.
+
+    Sums are in float64 and rounded to float32 at the end, so that equal images get equal scores.
+
+    Parameters
+    ----------
+    queries, images
+        Descriptors ``(n, d)``.
+    query_rows, image_rows
+        ``(p,)`` indices of each pair.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``(p,)`` float32 scores.
+
+    Examples
+    --------
+    >>> unit = np.eye(3, dtype=np.float32)
+    >>> cosines(unit, np.array([0, 0]), unit, np.array([0, 2])).tolist()
+    [1.0, 0.0]
+    """
+    scores = np.empty(len(query_rows), np.float32)
+    for query in np.unique(query_rows):
+        mine = np.flatnonzero(query_rows == query)
+        wanted = queries[query].astype(np.float64)
+        found = np.asarray(images[image_rows[mine]], np.float64)
+        lengths = np.linalg.norm(found, axis=1) * np.linalg.norm(wanted)
+        scores[mine] = found @ wanted / lengths
+    return scores
+
+
+@dataclass(frozen=True)
+class LocalMatcher:
+    """Second-stage scores of SelaVPR: mutual nearest neighbours among the local features of two images.
+
+    The score is the number of pairs of features that are each other's nearest, where exactly one counts as none,
+    as in the authors' code (:func:`artifact.methods.selavpr.match_count`). Each image is read once for each group of
+    queries that fits the memory. Features are compared in float32 whatever they are stored as.
+
+    Attributes
+    ----------
+    memory
+        Bytes that features and similarities may take together.
+    device
+        ``None`` takes CUDA if there is any, else the CPU.
+    """
+
+    memory: int = 2**30
+    device: Any = None
+
+    def __call__(self, queries: Any, query_rows: np.ndarray, images: Any, image_rows: np.ndarray) -> np.ndarray:
+        """Score pairs of images.
+
+        Parameters
+        ----------
+        queries, images
+            Local features of unit length, ``(n, ..., c)``: arrays, or :class:`Stored`.
+        query_rows, image_rows
+            ``(p,)`` indices of each pair.
+
+        Returns
+        -------
+        numpy.ndarray
+            ``(p,)`` float32 scores.
+        """
+        scores = np.empty(len(query_rows), np.float32)
+        load, match = self._backend()
+        image_bytes = 4 * max(math.prod(queries.shape[1:]), math.prod(images.shape[1:]))
+        group = max(1, self.memory // (4 * image_bytes))
+        for query_group in _groups(query_rows, group):
+            among = np.flatnonzero(np.isin(query_rows, query_group))
+            loaded_queries = load(queries, query_group)
+            for image_group in _groups(image_rows[among], group):
+                chosen = among[np.isin(image_rows[among], image_group)]
+                loaded = load(images, image_group)
+                places = np.searchsorted(image_group, image_rows[chosen])
+                owners = np.searchsorted(query_group, query_rows[chosen])
+                for owner in np.unique(owners):
+                    mine = owners == owner
+                    scores[chosen[mine]] = match(loaded_queries[owner], loaded, places[mine])
+        return scores
+
+    def _backend(self) -> tuple[Callable[..., Any], Callable[..., np.ndarray]]:
+        """Return how features are loaded, and how one query is matched with several of the loaded images."""
+        if str(self.device) == "cpu":
+            return _features, _match_on_cpu
+        import torch
+
+        from artifact.methods.selavpr import match_count
+
+        if self.device is None and not torch.cuda.is_available():
+            return _features, _match_on_cpu
+        device = torch.device("cuda" if self.device is None else self.device)
+
+        def load(images: Any, rows: np.ndarray) -> torch.Tensor:
+            values = torch.from_numpy(np.asarray(images[rows])).to(device).float()
+            return values.reshape(len(rows), -1, values.shape[-1])
+
+        def match(query: torch.Tensor, images: torch.Tensor, places: np.ndarray) -> np.ndarray:
+            block = max(1, self.memory // (16 * len(query) * images.shape[1]))
+            with torch.inference_mode():
+                candidates = images[torch.from_numpy(places).to(device)]
+                return match_count(query, candidates, block=block).cpu().numpy()
+
+        return load, match
+
+
+def _groups(rows: np.ndarray, size: int) -> list[np.ndarray]:
+    """Split the distinct indices into ascending groups."""
+    distinct = np.unique(rows)
+    return [distinct[start : start + size] for start in range(0, len(distinct), size)]
+
+
+def _features(images: Any, rows: np.ndarray) -> np.ndarray:
+    """Load local features as ``(k, n, c)`` float32."""
+    values = np.asarray(images[rows], np.float32)
+    return values.reshape(len(rows), -1, values.shape[-1])
+
+
+def _match_on_cpu(query: np.ndarray, images: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Count mutual nearest neighbours of one query and several images, a tile of similarities at a time."""
+    counts = np.empty(len(places), np.int64)
+    n_query, n_image = len(query), images.shape[1]
+    tile = np.empty((min(_TILE_ROWS, n_image), n_query), np.float32)
+    for slot, place in enumerate(places):
+        nearest_of_image = np.zeros(n_image, np.int64)
+        nearest_of_query, closest = np.zeros(n_query, np.int64), np.full(n_query, -np.inf, np.float32)
+        for start in range(0, n_image, _TILE_ROWS):
+            part = images[place, start : start + _TILE_ROWS]
+            np.matmul(part, query.T, out=tile[: len(part)])
+            _nearest(tile[: len(part)], start, nearest_of_image, nearest_of_query, closest)
+        count = int((nearest_of_image[nearest_of_query] == np.arange(n_query)).sum())
+        counts[slot] = 0 if count == 1 else count
+    return counts
+
+
+@njit(nogil=True, cache=True, fastmath={"nnan", "nsz"})
+def _nearest(tile, first, nearest_of_row, nearest_of_column, closest):
+    """Find the nearest column of each row, and go on with the nearest row of each column; ties: the first."""
+    columns = tile.shape[1]
+    for row in range(tile.shape[0]):
+        values = tile[row]
+        largest = values[0]
+        for column in range(columns):
+            largest = values[column] if values[column] > largest else largest
+        for column in range(columns):
+            if values[column] == largest:
+                nearest_of_row[first + row] = column
+                break
+        for column in range(columns):
+            nearer = values[column] > closest[column]
+            closest[column] = values[column] if nearer else closest[column]
+            nearest_of_column[column] = first + row if nearer else nearest_of_column[column]

@@ -1,0 +1,62 @@
+"""What made a page: parameters, inputs with their keys, code revision, machine and time."""
+
+from __future__ import annotations
+
+import html
+import os
+import platform
+import subprocess
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Protocol
+
+import pandas as pd
+from IPython.display import HTML
+
+from artifact.report.common import table
+
+
+class Recorded(Protocol):
+    """Anything that knows the records of its inputs."""
+
+    @property
+    def inputs(self) -> tuple[dict[str, Any], ...]:
+        """One record per traversal and method."""
+
+
+def provenance(parameters: Mapping[str, Any], *studies: Recorded) -> HTML:
+    """Show what made this page: parameters, inputs with their keys, code revision, machine and time."""
+    inputs = pd.DataFrame([record for study in studies for record in study.inputs]).drop_duplicates()
+    settings = "".join(
+        f"<li><code>{html.escape(k)} = {html.escape(repr(v))}</code></li>" for k, v in parameters.items()
+    )
+    facts = {
+        "Code": code_revision(),
+        "Run": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "Machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+    }
+    listed = "".join(f"<li>{name}: {html.escape(value)}</li>" for name, value in facts.items())
+    shown = table(inputs, numeric=["images"]).data if len(inputs) else "<p>No descriptors are used here.</p>"
+    return HTML(
+        f'<details class="provenance"><summary>Provenance: parameters, inputs, code, time</summary>'
+        f"<ul>{settings}</ul><ul>{listed}</ul>{shown}</details>"
+    )
+
+
+def code_revision() -> str:
+    """Return the package version and, in a git checkout, the commit and whether files differ from it."""
+    from artifact import __version__
+
+    folder = Path(__file__).resolve().parents[3]
+    try:
+        commit = _git(folder, "rev-parse", "--short=12", "HEAD")
+        changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
+    except (OSError, subprocess.CalledProcessError):
+        return f"artifact {__version__}"
+    return f"artifact {__version__}, commit {commit}{' with local changes' if changed else ''}"
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    done = subprocess.run(["git", "-C", str(folder), *arguments], check=True, capture_output=True, text=True)
+    return done.stdout.strip()

@@ -1,0 +1,131 @@
+"""Beyond the paper: what suppression takes out of the descriptors, and which distractors stop winning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from artifact import ranking, store, suppressed, suppression
+from artifact.archive import stored
+from artifact.manifest import Manifest
+from artifact.metrics import Evaluation
+from artifact.pipeline import Described, describe
+from artifact.ranking import ORIGINAL, positives_of
+from artifact.splits import Split
+from artifact.studies.common import PERCENT
+from artifact.suppression import INLP, LEACE
+
+PAIRS = 20_000
+"""Most pairs of images of one kind whose similarities are kept, drawn at random."""
+
+KINDS = ("same place, other condition", "other place, same condition", "other place, other condition")
+"""Pairs of a query with: its positives, its allowed distractors, the rest of the database."""
+
+
+@dataclass(frozen=True)
+class Erased:
+    """What changes between the original descriptors and the suppressed ones, on the evaluation region.
+
+    Attributes
+    ----------
+    evaluations
+        ``original``, ``LEACE`` and ``INLP``, with each query's top image.
+    iterations
+        One row per INLP iteration, from 0: ``iteration``, ``R``, ``DAR`` and ``accuracy`` (balanced training accuracy
+        of the classifier fitted next) in percent.
+    similarities
+        By view and kind of pair (:data:`KINDS`): cosines of at most :data:`PAIRS` pairs.
+    described, split
+        What was evaluated, and where it was fitted.
+    """
+
+    evaluations: dict[str, Evaluation]
+    iterations: pd.DataFrame
+    similarities: dict[str, dict[str, np.ndarray]]
+    described: Described
+    split: Split
+
+    def lost_and_recovered(self, view: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return places in ``evaluated`` of queries that distractors take, and of those of them that a view recovers."""
+        before, after = self.evaluations[ORIGINAL], self.evaluations[view]
+        lost = before.hits(1, distractors=False) & ~before.hits(1, distractors=True)
+        return np.flatnonzero(lost), np.flatnonzero(lost & after.hits(1, distractors=True))
+
+
+def what_is_erased(
+    manifest: Manifest, dataset: str, method: str, *, fraction: float = 0.1, iterations: int = 35, seed: int = 0
+) -> Erased:
+    """Compare original and suppressed descriptors: similarities, every INLP iteration, each query's top image."""
+    described = describe(manifest, dataset, method)
+    region = suppressed.split_of(described, fraction)
+    key = store.key(
+        stage="erased", revisions=[ranking.REVISION, suppression.REVISION], inputs=described.key_inputs(),
+        settings=[fraction, iterations, seed, PAIRS],
+    )  # fmt: skip
+
+    def compute() -> dict[str, Any]:
+        X, condition = suppressed.fitting_data(described, region)
+        inlp, leace = INLP(iterations, seed=seed).fit(X, condition), LEACE().fit(X, condition)
+        steps = {f"INLP {i}": inlp.at(i) for i in range(1, iterations + 1)}
+        # The last iteration is the fitted INLP; the ones between need no retrieval lists but share the pass.
+        found = suppressed.evaluate_region(described, region, {"LEACE": leace, **steps}, retrieve=1, seed=seed)
+        results: dict[str, Any] = {"views": found[ORIGINAL], "accuracies": inlp.accuracies_}
+        for view, transform in ((ORIGINAL, None), ("LEACE", leace), ("INLP", inlp)):
+            for kind, values in _similarities(described, region, transform, seed).items():
+                results[f"{view} | {kind}"] = values
+        return results
+
+    found = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "what is erased"})
+    views = found["views"]
+    accuracies = np.append(found["accuracies"], np.full(iterations + 1 - len(found["accuracies"]), np.nan))
+    steps = [views, *(views[f"INLP {i}"] for i in range(1, iterations + 1))]
+    table = pd.DataFrame(
+        {
+            "iteration": np.arange(iterations + 1),
+            "R": [PERCENT * step.recall(1) for step in steps],
+            "DAR": [PERCENT * step.dar(1) for step in steps],
+            "accuracy": PERCENT * accuracies,
+        }
+    )
+    evaluations = {ORIGINAL: views, "LEACE": views["LEACE"], "INLP": views[f"INLP {iterations}"]}
+    similarities = {view: {kind: found[f"{view} | {kind}"] for kind in KINDS} for view in evaluations}
+    return Erased(evaluations, table, similarities, described, region)
+
+
+def _similarities(described: Described, region: Split, transform: Any, seed: int) -> dict[str, np.ndarray]:
+    """Cosines of random pairs of each kind."""
+    data = described.dataset
+    rows, columns = region.evaluation_queries, region.evaluation_database
+    places = data.query.positions[rows], data.database.positions[columns]
+    queries, database = described.query.values[rows], described.database.values[columns]
+    if transform is not None:
+        queries, database = transform.transform(queries), transform.transform(database)
+    queries, database = _unit(queries), _unit(database)
+    generator = np.random.default_rng(seed)
+
+    def cosines(of: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+        return np.einsum("nd,nd->n", queries[pairs[:, 0]], of[pairs[:, 1]]).astype(np.float32)
+
+    starts, found = positives_of(*places, data.threshold)
+    positive = np.column_stack([np.repeat(np.arange(len(rows)), np.diff(starts)), found])
+    across, within = _random_pairs(len(rows), len(columns), generator), _random_pairs(len(rows), len(rows), generator)
+    across = across[_apart(places[0], places[1], across) > data.threshold]
+    within = within[_apart(places[0], places[0], within) > data.threshold]
+    kept = positive[np.sort(generator.permutation(len(positive))[:PAIRS])]
+    return dict(zip(KINDS, (cosines(database, kept), cosines(queries, within), cosines(database, across)), strict=True))
+
+
+def _random_pairs(first: int, second: int, generator: np.random.Generator) -> np.ndarray:
+    chosen = generator.choice(first * second, min(PAIRS, first * second), replace=False)
+    return np.column_stack([chosen // second, chosen % second])
+
+
+def _apart(first: np.ndarray, second: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(first[pairs[:, 0]] - second[pairs[:, 1]], axis=1)
+
+
+def _unit(values: np.ndarray) -> np.ndarray:
+    return values / np.linalg.norm(values, axis=1, keepdims=True)

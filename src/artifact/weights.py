@@ -1,0 +1,279 @@
+"""Released weights: the files that a method needs, whether they are here and unchanged, and how they come here.
+
+They lie in one folder, ``weights`` below the data root unless the manifest says otherwise. Beside each file its lock
+file ``NAME.lock.json`` records what was found when the file was first accepted: address, size, SHA-256, digest of the
+tensors, date. Any later difference is an error. A file is accepted only if its content fits the method's model.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from artifact import download, store, weights_lock
+from artifact.manifest import MethodEntry, WeightsEntry, WeightsFile
+from artifact.weights_lock import WeightsError
+
+Status = Literal["not needed", "present", "not checked yet", "missing", "changed"]
+
+Check = Callable[[WeightsFile, Path], str]
+"""Says whether the content of a file, which may have another name for now, fits the method's model: returns the digest
+of its tensors, or raises :class:`WeightsError`."""
+
+_REMEDY = (
+    "run `make data PROFILE=paper` (or `python -m artifact data --profile paper`): it shows licences and terms, "
+    "downloads what it can, and checks files put there by hand"
+)
+_BY_HAND = "put there by hand"
+_WORST_LAST: tuple[Status, ...] = ("present", "not checked yet", "missing", "changed")
+
+
+@dataclass(frozen=True)
+class State:
+    """Where a method's weights stand.
+
+    Attributes
+    ----------
+    status
+        ``"not needed"`` (the model has none, or its builder brings them), ``"present"`` (accepted and unchanged),
+        ``"not checked yet"`` (there, but never loaded), ``"missing"`` or ``"changed"``.
+    summary
+        One line for a list of methods.
+    detail
+        The files, and what to do about those that are missing or changed; several lines.
+    """
+
+    status: Status
+    summary: str
+    detail: str
+
+
+def path_of(entry: WeightsEntry, file: WeightsFile) -> Path:
+    """Return where a file of weights lies, or would lie."""
+    return Path(entry.folder) / file.file
+
+
+def is_required(entry: MethodEntry) -> bool:
+    """Whether a method must not run without files of weights: all methods of the paper, and all that name files."""
+    return entry.weights is not None or (entry.kind == "paper" and entry.builder is None)
+
+
+def state(name: str, entry: MethodEntry) -> State:
+    """Return where a method's weights stand; reads no file that is as its lock file left it.
+
+    Parameters
+    ----------
+    name, entry
+        The method of the manifest.
+    """
+    if entry.weights is None:
+        if not is_required(entry):
+            return State("not needed", f"{name}: no files of weights needed", "")
+        why = "the manifest names no files of weights for this method of the paper; add the key 'weights'"
+        return State("missing", f"{name}: missing, {why}", f"{name}: {why}")
+    found = [_state_of_file(name, entry.weights, file) for file in entry.weights.files]
+    status = max((status for status, _ in found), key=_WORST_LAST.index)
+    files = ", ".join(f"{file.file} ({_size(file, path_of(entry.weights, file))})" for file in entry.weights.files)
+    return State(status, f"{name}: {status}, {files}", "\n".join(detail for _, detail in found))
+
+
+def _state_of_file(name: str, entry: WeightsEntry, file: WeightsFile) -> tuple[Status, str]:
+    path = path_of(entry, file)
+    if not path.exists():
+        return "missing", how_to_get(name, entry, file)
+    if not weights_lock.path_of(path).exists():
+        return "not checked yet", f"{name}: {path} is there and will be checked when it is first used"
+    try:
+        return "present", f"{name}: {path}, SHA-256 {weights_lock.compare(file, path)}"
+    except WeightsError as error:
+        return "changed", str(error)
+
+
+def require(entries: Mapping[str, MethodEntry]) -> None:
+    """Raise one :class:`WeightsError` that lists all that is missing or changed, before hours of work begin.
+
+    Parameters
+    ----------
+    entries
+        Methods of the manifest by name.
+    """
+    states = [state(name, entry) for name, entry in entries.items()]
+    faults = [found.detail for found in states if found.status in ("missing", "changed")]
+    if any(found.status == "missing" for found in states):
+        faults.append(_REMEDY)
+    if faults:
+        raise WeightsError("\n".join(faults))
+
+
+def digests(entry: WeightsEntry) -> list[str | None]:
+    """Return the SHA-256 of each file of weights: what a method's descriptors depend on.
+
+    A file that was accepted once may be deleted afterwards: its lock file, or the manifest, still knows the digest.
+    ``None`` stands for a file that nobody knows here.
+
+    Raises
+    ------
+    WeightsError
+        If a file is not what its lock file says.
+    """
+    return [_digest(entry, file) for file in entry.files]
+
+
+def _digest(entry: WeightsEntry, file: WeightsFile) -> str | None:
+    path = path_of(entry, file)
+    if weights_lock.path_of(path).exists():
+        return weights_lock.compare(file, path) if path.exists() else weights_lock.read(path)["sha256"]
+    return weights_lock.sha256(path) if path.exists() else file.sha256
+
+
+def verified(name: str, entry: WeightsEntry, file: WeightsFile, check: Check) -> Path:
+    """Return the path of a file of weights that is what it should be; the first time, examine it and lock it.
+
+    Parameters
+    ----------
+    name, entry, file
+        The method's name, its weights, and one of their files.
+    check
+        Says whether a file's content fits the model.
+
+    Raises
+    ------
+    WeightsError
+        If the file is missing (with how to get it), differs from its lock file or from what the manifest says of it,
+        does not fit the model, or holds the same weights as another file.
+    """
+    path = path_of(entry, file)
+    if not path.exists():
+        raise WeightsError(how_to_get(name, entry, file))
+    if weights_lock.path_of(path).exists():
+        weights_lock.compare(file, path)
+    else:
+        try:
+            tensors = _examine(file, path, path, check)
+        except WeightsError as error:
+            raise WeightsError(f"{name}: {path} is refused\n  {error}\n{_by_hand(entry, file)}") from None
+        weights_lock.write(path, url=_BY_HAND, method=name, tensors=tensors)
+    return path
+
+
+# -- getting them ----------------------------------------------------------------------------------------------------
+
+
+def how_to_get(name: str, entry: WeightsEntry, file: WeightsFile) -> str:
+    """Return, in words, which file of a method is missing and how to get it."""
+    lines = [f"{name}: the weights {path_of(entry, file)} are missing ({_size(file)})"]
+    lines += [f"  {'from' if url == file.urls[0] else 'or'} {url}" for url in file.urls]
+    lines += [f"  {entry.obtain.strip()}"] if entry.obtain else []
+    return "\n".join(lines)
+
+
+def announcement(entries: Mapping[str, MethodEntry]) -> str:
+    """Return licence, terms, size and origin of all files that are missing, to show before a download.
+
+    Empty if nothing is missing.
+    """
+    lines, total, folders = [], 0.0, set()
+    for name, entry in entries.items():
+        weights = entry.weights
+        missing = [file for file in weights.files if not path_of(weights, file).exists()] if weights else []
+        if not (weights and missing):
+            continue
+        lines += [f"weights of {entry.title} ({name})", f"  licence: {weights.licence}"]
+        lines += [f"  terms: {weights.terms.strip()}"] if weights.terms else []
+        for file in missing:
+            lines.append(f"  {file.file}, {_size(file)}, from {file.urls[0] if file.urls else 'its owners'}")
+            total += (file.size or 0) / 1e6 or file.megabytes or 0
+        folders.add(weights.folder)
+    lines += [f"{total:,.0f} MB in all, {_free(folder)}" for folder in sorted(folders)]
+    return "".join(f"{line}\n" for line in lines)
+
+
+def fetch(name: str, entry: WeightsEntry, check: Check, *, progress: bool = True) -> None:
+    """Make all files of a method's weights ready: download what is missing, examine and lock what is not locked yet.
+
+    Show :func:`announcement` first. An interrupted download goes on where it was.
+
+    Parameters
+    ----------
+    name, entry
+        The method's name and its weights.
+    check
+        Says whether a file's content fits the model; asked before a file gets its final name.
+    progress
+        Whether to show progress bars.
+
+    Raises
+    ------
+    WeightsError
+        If a file cannot be had, or is not what it should be. All are listed, with what to do by hand.
+    """
+    faults = []
+    for file in entry.files:
+        try:
+            _make_ready(name, entry, file, check, progress=progress)
+        except WeightsError as error:
+            faults.append(str(error))
+    if faults:
+        raise WeightsError("\n".join(faults))
+
+
+def _make_ready(name: str, entry: WeightsEntry, file: WeightsFile, check: Check, *, progress: bool) -> None:
+    path = path_of(entry, file)
+    if path.exists():
+        verified(name, entry, file, check)
+        return
+    with weights_lock.writing(path), store.lock(path):
+        if path.exists():  # another process was faster
+            return
+        tried = []
+        for url in file.urls:
+            partial = path.with_name(f".{file.file}.{hashlib.sha256(url.encode()).hexdigest()[:8]}.partial")
+            try:
+                download.fetch(url, partial, label=file.file, progress=progress)
+                tensors = _examine(file, partial, path, check)
+            except download.DownloadError as error:
+                tried.append(f"  {url}\n    {error}")
+            except WeightsError as error:  # whole, but not the file that it should be: going on from it makes no sense
+                download.forget(partial)
+                tried.append(f"  {url}\n    {error}")
+            else:
+                partial.replace(path)
+                weights_lock.write(path, url=url, method=name, tensors=tensors)
+                for rest in path.parent.glob(f".{file.file}.*.partial*"):
+                    rest.unlink()
+                return
+    raise WeightsError("\n".join([f"{name}: {file.file} could not be downloaded", *tried, _by_hand(entry, file)]))
+
+
+def _by_hand(entry: WeightsEntry, file: WeightsFile) -> str:
+    lines = []
+    if file.urls:
+        lines.append(f"  by hand: open {file.urls[0]} in a browser and download the file ({_size(file)})")
+    lines += [f"  {entry.obtain.strip()}"] if entry.obtain else []
+    lines.append(f"  save it as {path_of(entry, file)} and run the same command again, which checks it")
+    return "\n".join(lines)
+
+
+def _examine(file: WeightsFile, found: Path, path: Path, check: Check) -> str:
+    """Return the digest of a file's tensors, or refuse the file; its bytes lie at ``found``, it belongs at ``path``."""
+    digest = weights_lock.check_against_manifest(file, found)
+    weights_lock.refuse_change(path, digest)
+    tensors = check(file, found)
+    weights_lock.refuse_twin(path, digest, tensors)
+    return tensors
+
+
+def _size(file: WeightsFile, path: Path | None = None) -> str:
+    size = path.stat().st_size if path and path.exists() else file.size
+    if size is not None:
+        return f"{size / 1e6:,.1f} MB"
+    return f"about {file.megabytes:,g} MB" if file.megabytes else "size unknown"
+
+
+def _free(folder: str) -> str:
+    existing = next(parent for parent in (Path(folder), *Path(folder).resolve().parents) if parent.exists())
+    return f"{shutil.disk_usage(existing).free / 1e6:,.0f} MB free at {folder}"

@@ -1,0 +1,165 @@
+"""The lock file beside a file of weights: what the file was when it was first accepted.
+
+Most released weights come without a checksum. The first file that fits its model is therefore recorded, and every later
+use is compared with the record: by size and modification time, and only where these differ by content.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from artifact import store
+from artifact.manifest import WeightsFile
+
+_ENDING = ".lock.json"
+_KEYS = ("url", "size", "sha256", "tensors", "date")
+_CHUNK = 1 << 20
+
+
+class WeightsError(RuntimeError):
+    """Weights that are missing, changed, or not those of the method; the message names the file and what to do."""
+
+
+def path_of(path: Path) -> Path:
+    """Return the lock file of a file of weights."""
+    return path.with_name(f"{path.name}{_ENDING}")
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Read the lock file of a file of weights.
+
+    Raises
+    ------
+    WeightsError
+        If it cannot be read as one.
+    """
+    try:
+        record = store.read_json(path_of(path))
+        return {**record, **{key: record[key] for key in _KEYS}}
+    except (store.StoreError, KeyError, TypeError):
+        raise WeightsError(f"{path_of(path)}: not a lock file; delete it, and the weights are examined anew") from None
+
+
+def write(path: Path, *, url: str, method: str, tensors: str) -> None:
+    """Record a file of weights that has just been accepted.
+
+    Parameters
+    ----------
+    path
+        The file.
+    url
+        Where it came from.
+    method
+        The method whose model it fits.
+    tensors
+        Digest of its tensors, see :func:`artifact.checkpoints.digest`.
+    """
+    status = path.stat()
+    record = {
+        "file": path.name, "method": method, "url": url, "size": status.st_size, "mtime_ns": status.st_mtime_ns,
+        "sha256": sha256(path), "tensors": tensors, "date": f"{datetime.now(UTC):%Y-%m-%d}",
+    }  # fmt: skip
+    with writing(path):
+        store.write_json(path_of(path), record)
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Say in terms of a file of weights that its folder cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise WeightsError(
+            f"{path}: cannot write beside it ({error.strerror}), but its lock file {path_of(path).name} must be "
+            f"written once; make the folder writable"
+        ) from None
+
+
+def compare(file: WeightsFile, path: Path) -> str:
+    """Return the SHA-256 of a locked file of weights, after comparing the file with its lock file.
+
+    Raises
+    ------
+    WeightsError
+        If the content differs from the record, or the record from the manifest. The message has both digests.
+    """
+    record, status = read(path), path.stat()
+    if file.sha256 is not None and file.sha256 != record["sha256"]:
+        raise WeightsError(
+            f"{path}: the manifest says SHA-256 {file.sha256}, its lock file of {record['date']} says "
+            f"{record['sha256']}; if the manifest is right, delete {path.name} and {path_of(path).name} and get it anew"
+        )
+    if (record["size"], record.get("mtime_ns")) != (status.st_size, status.st_mtime_ns):
+        refuse_change(path, sha256(path))
+        with contextlib.suppress(OSError):  # a folder that others own is read as it is
+            store.write_json(path_of(path), {**record, "mtime_ns": status.st_mtime_ns})
+    return record["sha256"]
+
+
+def refuse_change(path: Path, digest: str) -> None:
+    """Raise :class:`WeightsError` if a file of weights was locked with another SHA-256 than ``digest``."""
+    if not path_of(path).exists():
+        return
+    record = read(path)
+    if digest != record["sha256"]:
+        raise WeightsError(
+            f"{path}: its SHA-256 is {digest}, but {record['sha256']} was recorded on {record['date']} "
+            f"({record['url']}). Descriptors made with the one do not fit the other: bring the earlier file back, or, "
+            f"if the change is meant, delete {path_of(path).name}"
+        )
+
+
+def refuse_twin(path: Path, digest: str, tensors: str) -> None:
+    """Raise :class:`WeightsError` if another locked file has the same content, or the same tensors in other packing.
+
+    Two methods never have equal weights: one of the two files is under a wrong name.
+    """
+    for lock in sorted(path.parent.glob(f"*{_ENDING}")):
+        twin = lock.with_name(lock.name.removesuffix(_ENDING))
+        if twin == path or not twin.exists():
+            continue
+        record = read(twin)
+        if digest == record["sha256"] or tensors == record["tensors"]:
+            raise WeightsError(
+                f"{path.name} holds the same weights as {twin.name} of {record.get('method', 'another method')}, so "
+                f"one of the two is not what its name says; delete that one and its lock file (NAME{_ENDING})"
+            )
+
+
+def check_against_manifest(file: WeightsFile, found: Path) -> str:
+    """Return the SHA-256 of a file that agrees with all that the manifest says of it, or raise `WeightsError`."""
+    size, digest = found.stat().st_size, sha256(found)
+    compared = [
+        ("bytes", file.size, size),
+        ("SHA-256", file.sha256, digest),
+        ("git blob", file.git_blob, _git_blob(found) if file.git_blob else None),
+    ]
+    for what, expected, actual in compared:
+        if expected is not None and actual != expected:
+            raise WeightsError(f"not the released {file.file}: {what} {actual}, the manifest says {expected}")
+    return digest
+
+
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file; a file that was not written in between is read once per process."""
+    status = path.stat()
+    return _sha256(path, status.st_size, status.st_mtime_ns)
+
+
+@lru_cache(maxsize=64)
+def _sha256(path: Path, size: int, mtime_ns: int) -> str:
+    return store.digest_of_file(path)
+
+
+def _git_blob(path: Path) -> str:
+    digest = hashlib.sha1(f"blob {path.stat().st_size}\0".encode(), usedforsecurity=False)
+    with path.open("rb") as stream:
+        while chunk := stream.read(_CHUNK):
+            digest.update(chunk)
+    return digest.hexdigest()

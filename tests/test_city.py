@@ -1,0 +1,701 @@
+"""The rendered town: the same bytes always, the same places under every condition, streets that hold together."""
+
+import dataclasses
+import hashlib
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from artifact import manifest
+from artifact.datasets import city
+from artifact.datasets.city import kernel, noise, records, traversal, view
+from artifact.datasets.city.conditions import CONDITIONS
+from artifact.datasets.city.grids import cast_shadows, roof_at
+from artifact.datasets.city.models import CARS, MODEL
+from artifact.datasets.city.palette import SIGN
+from artifact.datasets.city.routes import drive_path, junctions_of
+from artifact.datasets.city.streets import TOTAL_HALF, blocks, make_plan, railway
+from artifact.datasets.city.town import make_town
+from artifact.datasets.city.trace import BUILDING, GROUND, LEAF, SKY
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+ENTRIES = {n: e for n, e in manifest.load(REPOSITORY / "data_manifest.yaml").datasets.items() if e.kind == "city"}
+TRAVERSALS = {
+    (name, key): city.CityTraversal(**t.render) for name, e in ENTRIES.items() for key, t in e.traversals.items()
+}
+DRIVE = city.CityTraversal(town=4, route="A2-D2-D4", condition="sun", camera="car", frames=60, spacing=3.0, seed=1)
+PLACE = 21  # a frame of DRIVE in the middle of a street, with facades on both sides
+SEEDS = st.integers(0, 2**31)
+
+
+def under(condition, **changes):
+    return dataclasses.replace(DRIVE, condition=condition, **changes)
+
+
+def grey(image):
+    return image.astype(float).mean(axis=2)
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """One place under every condition, from the same pose."""
+    return {name: city.render_frame(under(name), PLACE) for name in CONDITIONS}
+
+
+def pixels_of(traced):
+    """What the first of each pixel's samples sees: code of the surface, (rows, columns)."""
+    return traced.surface[:: view.SAMPLES, :: view.SAMPLES].T
+
+
+def wall_normals(t, codes):
+    """Outward normal of the wall in each pixel, (rows, columns, 2); zero where there is none."""
+    buildings = traversal.make_town(t.town).scene.buildings
+    number, side = (codes - BUILDING) >> 4, (codes - BUILDING) & 15
+    wall = (codes >= BUILDING) & (codes < LEAF) & (side < 4)
+    normals = np.zeros((*codes.shape, 2))
+    normals[wall] = buildings["normal"][number[wall], side[wall]]
+    return normals
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# The same bytes, whatever was rendered before, in whichever thread or process
+# ---------------------------------------------------------------------------------------------------------------
+
+
+def test_a_frame_depends_on_its_description_only():
+    frames = [0, 17, 42]
+    first = {k: city.render_frame(DRIVE, k).tobytes() for k in frames}
+    assert len(set(first.values())) == len(frames)
+    for cache in (traversal.make_town, traversal.poses, traversal._standing, traversal._path):
+        cache.cache_clear()
+    with ThreadPoolExecutor(3) as pool:  # towns and poses are built by all threads at once
+        jobs = {k: pool.submit(city.render_frame, DRIVE, k) for k in reversed(frames)}
+        assert {k: job.result().tobytes() for k, job in jobs.items()} == first
+
+
+@pytest.mark.parametrize("change", [{"seed": 2}, {"town": 2}, {"condition": "overcast"}, {"start": 0.5}, {"wander": 0.0}])
+def test_every_field_that_should_matter_does(change):
+    other = dataclasses.replace(DRIVE, **change)
+    assert city.render_frame(other, PLACE).tobytes() != city.render_frame(DRIVE, PLACE).tobytes()
+
+
+def test_folders_are_equal_for_any_number_of_workers_and_hold_what_render_frame_makes(tmp_path):
+    few = dataclasses.replace(DRIVE, frames=7)
+    done = []
+    city.render(few, tmp_path / "one", workers=1, progress=done.append)
+    city.render(few, tmp_path / "three", workers=3)
+    names = [f"{k:06d}.jpg" for k in range(7)]
+    assert sorted(p.name for p in (tmp_path / "one").iterdir()) == [*names, "positions.csv"]
+    for path in (tmp_path / "one").iterdir():
+        assert path.read_bytes() == (tmp_path / "three" / path.name).read_bytes()
+    assert done == list(range(1, 8))
+    for k in (0, 6):
+        stored = np.asarray(Image.open(tmp_path / "one" / names[k])).astype(int)
+        assert stored.shape == (240, 320, 3)
+        assert np.abs(stored - city.render_frame(few, k)).mean() < 4  # JPEG
+
+
+SCRIPT = """
+import hashlib, sys
+from artifact.datasets import city
+made = city.CityTraversal(town=4, route="A2-D2-D4", condition="sun", camera="car", frames=60, spacing=3.0, seed=1)
+print(hashlib.sha256(city.render_frame(made, 21).tobytes()).hexdigest(), flush=True)
+city.render(made, sys.argv[1], workers=1)
+"""
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    """A process with other hash seeds that renders a frame, starts to render a folder, and is killed (SIGKILL)."""
+    folder = tmp_path_factory.mktemp("killed") / "sun"
+    command = [sys.executable, "-c", SCRIPT, str(folder)]
+    environment = {**os.environ, "PYTHONHASHSEED": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+        digest = process.stdout.readline().strip()
+        deadline = time.monotonic() + 60
+        while len(list(folder.parent.glob(".*/*.jpg"))) < 3 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        process.send_signal(signal.SIGKILL)
+    return folder, digest, process.returncode
+
+
+def test_another_process_renders_the_same_bytes(killed):
+    assert killed[1] == hashlib.sha256(city.render_frame(DRIVE, PLACE).tobytes()).hexdigest()
+
+
+def test_a_killed_process_leaves_no_folder_and_no_obstacle(killed):
+    folder, _, code = killed
+    assert code == -signal.SIGKILL
+    assert not folder.exists()
+    (left,) = folder.parent.iterdir()
+    assert left.name.startswith(".")
+    assert left.suffix == ".partial"
+    assert not (left / "positions.csv").exists()
+    city.render(dataclasses.replace(DRIVE, frames=2), folder)
+    assert len(list(folder.glob("*.jpg"))) == 2
+
+
+def test_an_interrupted_rendering_leaves_nothing_and_stops_its_workers(tmp_path):
+    def interrupt(done):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        city.render(DRIVE, tmp_path / "sun", workers=2, progress=interrupt)
+    assert list(tmp_path.iterdir()) == []
+    assert not [t for t in threading.enumerate() if t.name.startswith("ThreadPoolExecutor")]
+
+
+def test_a_folder_that_exists_is_never_touched(tmp_path):
+    (tmp_path / "sun").mkdir()
+    with pytest.raises(FileExistsError, match="exists already; delete it"):
+        city.render(DRIVE, tmp_path / "sun")
+    assert list((tmp_path / "sun").iterdir()) == []
+
+
+def test_compiled_code_of_changed_sources_is_dropped(tmp_path, monkeypatch):
+    monkeypatch.setattr(kernel, "_checked", set())
+    (tmp_path / "window.nbi").touch()
+    kernel._drop_stale(str(tmp_path))
+    assert not (tmp_path / "window.nbi").exists()
+    (tmp_path / "window.nbi").touch()
+    monkeypatch.setattr(kernel, "_checked", set())
+    kernel._drop_stale(str(tmp_path))
+    assert (tmp_path / "window.nbi").exists()
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# Positions
+# ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("unit", ["metres", "frames"])
+def test_the_written_positions_are_those_promised(tmp_path, unit):
+    few = dataclasses.replace(DRIVE, frames=3, positions=unit)
+    city.render(few, tmp_path / "sun")
+    header, *lines = (tmp_path / "sun" / "positions.csv").read_text().splitlines()
+    rows = [line.split(",") for line in lines]
+    assert [row[0] for row in rows] == ["000000.jpg", "000001.jpg", "000002.jpg"]
+    if unit == "frames":
+        assert header == "image,index"
+        assert [row[1] for row in rows] == ["0", "1", "2"]
+        assert city.positions(few).tolist() == [[0, 0], [1, 0], [2, 0]]
+    else:
+        assert header == "image,x,y"
+        np.testing.assert_allclose(np.array(rows)[:, 1:].astype(float), city.positions(few), atol=5e-4)
+
+
+@given(st.floats(0.5, 12), st.floats(0, 20), st.integers(0, 50))
+@settings(max_examples=25, deadline=None)
+def test_frames_of_an_ideal_drive_are_one_spacing_apart(spacing, start, seed):
+    drive = city.CityTraversal(
+        town=4, route="A2-D2", condition="sun", frames=10, spacing=spacing, start=start, seed=seed, wander=0.0
+    )
+    steps = np.linalg.norm(np.diff(city.positions(drive), axis=0), axis=1)
+    # A chord is never longer than the way, and shorter only where the street bends.
+    assert (steps <= spacing * 1.001).all()
+    assert (steps > spacing * 0.97).all()
+
+
+def test_wandering_stays_near_the_lane():
+    ideal, real = city.positions(under("sun", wander=0.0)), city.positions(DRIVE)
+    aside = np.linalg.norm(ideal - real, axis=1)
+    assert 0.05 < aside.mean() < 1.0
+    assert aside.max() < 2.0
+
+
+def test_the_phase_of_a_drive_differs_with_its_seed_by_less_than_a_spacing():
+    starts = np.array([city.positions(under("sun", wander=0.0, seed=s))[0] for s in range(8)])
+    gaps = np.linalg.norm(starts[:, None] - starts[None], axis=2)
+    assert gaps.max() < DRIVE.spacing
+    assert gaps[np.triu_indices(8, 1)].min() > 0
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# The six pairs of the manifest
+# ---------------------------------------------------------------------------------------------------------------
+
+
+def test_the_pairs_mirror_the_six_datasets_of_the_paper():
+    assert {e.mirrors: (e.threshold.value, e.threshold.unit) for e in ENTRIES.values()} == {
+        "AmsterTime": (0, "pairs"), "Gardens Point": (2, "frames"), "Nordland": (1, "frames"),
+        "RobotCar": (25, "metres"), "St Lucia": (25, "metres"), "SVOX": (25, "metres"),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_every_query_has_a_positive_and_distractor_traversals_suffice(name):
+    entry = ENTRIES[name]
+    queries, database = TRAVERSALS[name, entry.query], TRAVERSALS[name, entry.database]
+    distance = np.linalg.norm(city.positions(queries)[:, None] - city.positions(database)[None], axis=2)
+    assert (distance.min(axis=1) <= entry.threshold.value).all()
+    for other in entry.distractor_traversals or []:
+        assert TRAVERSALS[name, other].frames >= queries.frames
+    seeds = [TRAVERSALS[name, key].seed for key in entry.traversals]
+    assert len(set(seeds)) == len(seeds)
+
+
+def best_view(distance, turn, threshold):
+    within = np.flatnonzero(distance <= threshold)
+    return within[np.argmin(distance[within] / 100 + turn[within])]
+
+
+def shared(a, b):
+    return len(a & b) / min(len(a), len(b))
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_both_traversals_of_a_pair_see_the_same_buildings(name):
+    entry = ENTRIES[name]
+    queries, database = TRAVERSALS[name, entry.query], TRAVERSALS[name, entry.database]
+    heading = [np.array([p.heading for p in traversal.poses(t)[0]]) for t in (queries, database)]
+    where = city.positions(queries), city.positions(database)
+    threshold, near, far = entry.threshold.value, [], []
+    for i in np.linspace(0, queries.frames - 1, 6).astype(int):
+        distance = np.linalg.norm(where[1] - where[0][i], axis=1)
+        turn = np.abs(np.angle(np.exp(1j * (heading[1] - heading[0][i]))))
+        j = best_view(distance, turn, threshold)
+        assert turn[j] < np.radians(25)
+        other = int(np.argmax(distance))
+        seen = [set(city.visible_buildings(*at)) for at in ((queries, i), (database, j), (database, other))]
+        near.append(shared(seen[0], seen[1]))
+        far.append(shared(seen[0], seen[2]))
+    assert min(near) > 0.5
+    assert np.mean(near) > 0.8
+    assert np.mean(far) < 0.3
+
+
+@pytest.mark.parametrize(("name", "key"), TRAVERSALS)
+def test_no_camera_stands_in_a_building(name, key):
+    made = TRAVERSALS[name, key]
+    scene = traversal._town(made).scene
+    for pose in traversal.poses(made)[0]:
+        outside = scene.buildings["normal"] @ (pose.x, pose.y) - scene.buildings["offset"]
+        assert outside.max(axis=1).min() > 0.3, f"a wall within 0.3 m of {pose}"
+    assert max(p.roll for p in traversal.poses(made)[0]) < np.radians(5)
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# Conditions
+# ---------------------------------------------------------------------------------------------------------------
+
+
+def test_every_condition_makes_a_picture(seen):
+    assert set(seen) == set(city.CONDITIONS)
+    for image in seen.values():
+        assert image.shape == (240, 320, 3)
+        assert image.dtype == np.uint8
+        assert grey(image).std() > 15
+    assert len({image.tobytes() for image in seen.values()}) == len(seen)
+
+
+def test_conditions_change_the_light_and_not_the_place():
+    traced = [traversal.trace_frame(under(name), PLACE) for name in ("sun", "overcast", "night", "rain", "morning")]
+    for other in traced[1:]:
+        at = (traced[0].surface < LEAF) & (other.surface < LEAF)  # neither leaves nor cars and people
+        assert at.mean() > 0.6
+        np.testing.assert_array_equal(traced[0].surface[at], other.surface[at])
+        np.testing.assert_array_equal(traced[0].view, other.view)
+
+
+def test_night_is_dark_but_for_its_lights(seen):
+    assert grey(seen["night"]).mean() < 0.55 * grey(seen["sun"]).mean()
+    assert np.median(grey(seen["night"])[:40]) < 90  # sky
+    assert (grey(seen["night"]) > 170).mean() > 0.002  # lamps and lit windows
+
+
+def test_lit_windows_and_lamps_depend_on_the_traversal_not_on_the_frame():
+    assert not np.array_equal(city.render_frame(under("night", seed=2), 3), city.render_frame(under("night"), 3))
+    lights = [traversal._light(under("night", seed=s)) for s in (1, 1, 2)]
+    assert lights[0] == lights[1]
+    assert lights[0] != lights[2]
+
+
+def test_winter_is_whiter_on_the_ground_and_bare_of_leaves(seen):
+    ground = pixels_of(traversal.trace_frame(under("winter"), PLACE)) == GROUND
+    summer, winter = (seen[name][ground].astype(float) for name in ("summer", "winter"))
+    saturation = [np.ptp(p, axis=1).mean() / p.mean() for p in (summer, winter)]
+    assert np.quantile(winter.mean(axis=1), 0.75) > np.quantile(summer.mean(axis=1), 0.75)
+    assert saturation[1] < saturation[0]
+    leaves = [(traversal.trace_frame(under(name), PLACE).surface >= LEAF).sum() for name in ("summer", "winter")]
+    assert leaves[1] < leaves[0]
+
+
+def test_rain_and_overcast_have_lower_contrast_than_sun(seen):
+    assert grey(seen["rain"]).std() < grey(seen["sun"]).std()
+    assert grey(seen["overcast"]).std() < grey(seen["sun"]).std()
+
+
+def test_wet_ground_mirrors_and_dry_ground_does_not():
+    """A wet street takes over the brightness of what stands above it; seen as a change of the ground when lamps are on."""
+    ground = pixels_of(traversal.trace_frame(under("rain"), PLACE)) == GROUND
+    dry = traversal.shade(*_to_shade(under("rain"), wet=0.0))
+    wet = traversal.shade(*_to_shade(under("rain"), wet=1.0))
+    sky = pixels_of(traversal.trace_frame(under("rain"), PLACE)) == SKY
+    np.testing.assert_array_equal(dry[sky], wet[sky])
+    assert (np.abs(dry - wet)[ground] > 0).mean() > 0.95
+
+
+def _to_shade(t, wet):
+    light = traversal._light(t).copy()
+    light["wet"] = wet
+    return traversal._town(t), CONDITIONS[t.condition], light, traversal.trace_frame(t, PLACE)
+
+
+def test_the_sun_lights_opposite_walls_in_the_morning_and_in_the_afternoon(seen):
+    normals = wall_normals(DRIVE, pixels_of(traversal.trace_frame(DRIVE, PLACE)))
+    suns = {n: np.radians(CONDITIONS[n].sun_azimuth) for n in ("morning", "afternoon")}
+    towards = {n: normals @ (np.cos(a), np.sin(a)) for n, a in suns.items()}
+    for name, other in itertools.permutations(suns):
+        own = (towards[name] > 0.5) & (towards[other] < 0.0)
+        theirs = (towards[other] > 0.5) & (towards[name] < 0.0)
+        assert own.sum() > 400
+        ratio = grey(seen[name])[own].mean() / grey(seen[other])[own].mean()
+        ratio_of_theirs = grey(seen[name])[theirs].mean() / grey(seen[other])[theirs].mean()
+        assert ratio > 1.1 * ratio_of_theirs
+
+
+@pytest.mark.parametrize("name", ["night_grey", "historical"])
+def test_monochrome_is_monochrome(seen, name):
+    """Each pixel is a grey value times the tint; only rounding differs."""
+    tint = np.array(CONDITIONS[name].tint)
+    image = seen[name].astype(float)
+    level = image[..., :1] / tint[0]
+    unclipped = image[..., 0] < 255
+    assert np.abs(image - level * tint)[unclipped].max() <= 1.0
+    assert np.ptp(seen["sun"].astype(float), axis=2).mean() > 8  # and others are not
+
+
+def test_the_past_has_the_same_lots_other_houses_and_no_modern_cars():
+    now, past = make_town(1), make_town(1, "past")
+    np.testing.assert_array_equal(now.scene.buildings["corners"], past.scene.buildings["corners"])
+    rebuilt = (now.scene.buildings["height"] != past.scene.buildings["height"]).mean()
+    assert 0.02 < rebuilt < 0.3
+    assert not any("modern" in b.tags and "house" in b.tags for b in past.buildings)
+    cars = {MODEL[name] for name in CARS}
+    old, new = (city.CityTraversal(town=4, route="A2-D2-D4", condition=c, frames=60) for c in ("historical", "sun"))
+    models = [[set(traversal.trace_frame(t, k).things["model"].tolist()) for k in range(0, 60, 6)] for t in (old, new)]
+    assert not cars & set().union(*models[0])
+    assert cars & set().union(*models[1])
+    assert MODEL["cart"] in set().union(*models[0])
+
+
+def test_parked_cars_and_people_differ_between_traversals_and_houses_do_not():
+    one, other = traversal.trace_frame(DRIVE, PLACE), traversal.trace_frame(under("sun", seed=2, wander=0.0), PLACE)
+    parked = [{(t["x"], t["y"], t["model"]) for t in made.things if t["model"] < len(CARS)} for made in (one, other)]
+    assert parked[0] != parked[1]
+    assert len(parked[0]) > 3
+
+
+def test_cameras_differ_as_described():
+    wide, narrow = (dataclasses.replace(DRIVE, camera=c, wander=0.0) for c in ("street_view", "car"))
+    views = [traversal.trace_frame(t, PLACE).view[0] for t in (wide, narrow)]
+    assert views[0]["z"] > views[1]["z"]
+    assert views[0]["focal"] < views[1]["focal"]
+    assert (views[0]["panorama"], views[1]["panorama"]) == (1, 0)
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# Bad input
+# ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"condition": "snow"}, "condition 'snow' is not known; choose one of afternoon, .* winter"),
+        ({"camera": "drone"}, "camera 'drone' is not known; choose one of car, .* walker"),
+        ({"positions": "miles"}, "positions 'miles' is not known; choose one of frames, metres"),
+        ({"frames": 0}, "frames must be a whole number of at least 1, not 0"),
+        ({"frames": 2.0}, "frames must be a whole number of at least 1, not 2.0"),
+        ({"town": -1}, "town must be a whole number of at least 0, not -1"),
+        ({"seed": True}, "seed must be a whole number of at least 0, not True"),
+        ({"spacing": 0.0}, "spacing must be a positive number of metres, not 0.0"),
+        ({"spacing": float("nan")}, "spacing must be a positive number of metres, not nan"),
+        ({"start": -3.0}, "start and wander must not be negative, not -3.0"),
+        ({"route": "A2"}, "write junctions from A1 to G6 such as 'A2-D2-D4', or one of 'railway', 'all streets', 'places'"),
+        ({"route": "A2-H2"}, "route 'A2-H2' is not known"),
+        ({"route": "A2-D4"}, "the leg to D4 does not follow a street"),
+        ({"route": "A2-A2"}, "the leg to A2 does not follow a street"),
+        ({"route": "railway"}, "route 'railway' and camera 'train' go together"),
+        ({"camera": "train"}, "route 'railway' and camera 'train' go together"),
+        ({"route": "places"}, r"route 'places' goes with a camera of \['handheld', 'plate'\]"),
+        ({"camera": "plate"}, r"route 'places' goes with a camera of \['handheld', 'plate'\]"),
+    ],
+)
+def test_bad_descriptions_say_what_is_allowed(change, message):
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(DRIVE, **change)
+
+
+def test_a_route_that_is_too_short_says_how_many_frames_fit(tmp_path):
+    long = dataclasses.replace(DRIVE, frames=5000)
+    with pytest.raises(ValueError, match=r"route 'A2-D2-D4' of town 4 is \d+ m long: .* room for \d+ frames, not 5000"):
+        city.render(long, tmp_path / "sun")
+    with pytest.raises(ValueError, match=r"all streets of town 6 give \d+ images at this spacing, not 99999"):
+        city.positions(dataclasses.replace(DRIVE, town=6, route="all streets", frames=99_999))
+    with pytest.raises(ValueError, match=r"town 1 has room for \d+ places only"):
+        city.positions(city.CityTraversal(town=1, route="places", condition="sun", camera="plate", frames=1200))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_frames_count_from_zero_and_workers_from_one(tmp_path):
+    for index in (-1, 60):
+        with pytest.raises(IndexError, match=f"frame {index} of a traversal of 60 frames"):
+            city.render_frame(DRIVE, index)
+    with pytest.raises(ValueError, match="workers must be at least 1, not 0"):
+        city.render(DRIVE, tmp_path / "sun", workers=0)
+
+
+def test_records_need_exactly_their_fields():
+    with pytest.raises(ValueError, match=r"fields \['a'\] given for a record of \['b'\]"):
+        records.record(records.layout(b="f8"), {"a": 1.0})
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# The town
+# ---------------------------------------------------------------------------------------------------------------
+
+
+def overlap(p, q):
+    """How deep two convex polygons overlap, by the theorem of the separating axis; negative is a gap. Metres."""
+    depth = np.inf
+    for polygon in (p, q):
+        edge = np.roll(polygon, -1, axis=0) - polygon
+        normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1)[:, None]
+        a, b = p @ normal.T, q @ normal.T
+        depth = min(depth, np.minimum(a.max(axis=0) - b.min(axis=0), b.max(axis=0) - a.min(axis=0)).min())
+    return depth
+
+
+def pairs_near(first, second, reach):
+    """Index pairs of polygons whose bounding boxes come within reach."""
+    low, high = [p.min(axis=1) for p in (first, second)], [p.max(axis=1) for p in (first, second)]
+    apart = np.maximum(low[0][:, None] - high[1][None], low[1][None] - high[0][:, None]).max(axis=2)
+    return np.argwhere(apart < reach)
+
+
+def turning(corners):
+    edge = np.roll(corners, -1, axis=-2) - corners
+    following = np.roll(edge, -1, axis=-2)
+    return edge[..., 0] * following[..., 1] - edge[..., 1] * following[..., 0]
+
+
+def street_strips(plan):
+    strips = []
+    for a, b in plan.edges():
+        p, q = plan.junctions[a], plan.junctions[b]
+        u = (q - p) / np.linalg.norm(q - p)
+        n = TOTAL_HALF[plan.kind(a, b)] * np.array([-u[1], u[0]])
+        strips.append([p - n, q - n, q + n, p + n])
+    return np.array(strips)
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_buildings_overlap_neither_streets_nor_each_other(seed):
+    town = make_town(seed)
+    corners = town.scene.buildings["corners"]
+    assert (turning(corners) > 0).all()  # convex and counter-clockwise, as the ray caster takes for granted
+    assert 300 < len(corners) < 3000
+    # Walls along canals and hedges at their lots' edges are not houses.
+    houses = np.array([b.corners for b in town.buildings if b.tags & {"house", "landmark"}])
+    strips = street_strips(town.plan)
+    near = pairs_near(houses, strips, 0.0)
+    assert len(near) > 100
+    assert max(overlap(houses[i], strips[k]) for i, k in near) < 1e-6
+    assert max(overlap(houses[i], houses[k]) for i, k in pairs_near(houses, houses, 0.0) if i < k) < 0.02
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_what_is_built_on_a_block_stays_on_it(seed):
+    for site in make_town(seed).sites:
+        edge = np.roll(site.block.corners, -1, axis=0) - site.block.corners
+        normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1)[:, None]
+        for b in site.buildings:
+            outside = ((b.corners[:, None] - site.block.corners) * normal).sum(axis=2)
+            assert outside.max() < 1e-6
+
+
+def test_trees_and_lamps_stand_outside_houses_and_roads():
+    town = make_town(4)
+    houses = town.scene.buildings[[i for i, b in enumerate(town.buildings) if "house" in b.tags]]
+    for kind in (town.scene.trees, town.scene.lamps):
+        where = np.stack([kind["x"], kind["y"]], axis=1)
+        outside = (np.einsum("bkc,nc->nbk", houses["normal"], where) - houses["offset"]).max(axis=2).min(axis=1)
+        assert outside.min() > 0
+    assert len(town.scene.trees) > 300
+    assert len(town.scene.lamps) > 60
+
+
+@given(SEEDS)
+@settings(max_examples=30, deadline=None)
+def test_any_plan_is_a_town(seed):
+    plan = make_plan(seed)
+    for a, b in plan.edges():
+        length = np.linalg.norm(plan.junctions[b] - plan.junctions[a])
+        assert 40 < length < 140
+    for block in blocks(plan):
+        assert (turning(block.corners) > 0).all()
+        assert np.linalg.norm(np.roll(block.corners, -1, axis=0) - block.corners, axis=1).min() > 15
+    strips = np.array([b.corners for b in blocks(plan)])
+    assert max(overlap(strips[i], strips[k]) for i, k in pairs_near(strips, strips, 0.0) if i < k) < 1e-6
+
+
+@given(SEEDS)
+@settings(max_examples=15, deadline=None)
+def test_the_railway_runs_round_every_town_without_touching_it(seed):
+    plan = make_plan(seed)
+    track = railway(plan, 6.0)
+    steps = np.linalg.norm(np.diff(track, axis=0), axis=1)
+    assert np.allclose(steps, 6.0, rtol=0.02)
+    assert np.linalg.norm(track[0] - track[-1]) < 7.0
+    assert (np.cross(np.diff(track, axis=0), track[:-1] - plan.junctions.mean(axis=(0, 1))) < 0).all()
+    corners = np.concatenate([b.corners for b in blocks(plan)])
+    assert np.linalg.norm(track[:, None] - corners[None], axis=2).min() > 8
+
+
+JUNCTIONS = st.tuples(st.integers(0, 6), st.integers(0, 5))
+
+
+@given(SEEDS, JUNCTIONS, st.lists(st.integers(0, 6), min_size=1, max_size=4), st.sampled_from(["lane", "pavement"]))
+@settings(max_examples=30, deadline=None)
+def test_any_route_can_be_driven_smoothly(seed, start, turns, lateral):
+    stops = [start]
+    for k, target in enumerate(turns):  # alternately along a row and along a column
+        i, j = stops[-1]
+        stop = (target, j) if k % 2 == 0 else (i, target % 6)
+        if stop != stops[-1]:
+            stops.append(stop)
+    if len(stops) < 2:
+        return
+    route = "-".join("ABCDEFG"[i] + str(j + 1) for i, j in stops)
+    listed = junctions_of(route)
+    assert listed[0] == stops[0]
+    assert listed[-1] == stops[-1]
+    assert all(abs(a[0] - b[0]) + abs(a[1] - b[1]) == 1 for a, b in itertools.pairwise(listed))
+    path = drive_path(make_plan(seed), route, lateral)
+    assert np.allclose(np.linalg.norm(np.diff(path.points, axis=0), axis=1), path.step, rtol=0.05)
+    assert np.abs(np.diff(path.headings)).max() / path.step < 1.4  # radians per metre
+    x, y, _, _ = path.at(path.length)
+    assert np.hypot(x - path.points[-1, 0], y - path.points[-1, 1]) < 0.01
+
+
+def test_colours_are_reflectances():
+    rng = np.random.default_rng(0)
+    from artifact.datasets.city.palette import choose
+
+    drawn = np.array([choose(rng, SIGN) for _ in range(200)])
+    assert 0 <= drawn.min()
+    assert drawn.max() <= 0.95
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# Compiled code against slower truths
+# ---------------------------------------------------------------------------------------------------------------
+
+
+def test_traced_depths_are_where_rays_first_meet_the_town():
+    """March along rays: above the roofs until just before the traced depth, and inside a building just behind it."""
+    traced = traversal.trace_frame(DRIVE, PLACE)
+    camera, scene = traced.view[0], traversal._town(DRIVE).scene
+    rng = np.random.default_rng(3)
+    checked = {"ground": 0, "wall": 0, "roof": 0, "sky": 0}
+    for column, row in zip(rng.integers(0, 640, 400), rng.integers(0, 480, 400), strict=True):
+        code, depth = int(traced.surface[column, row]), float(traced.depth[column, row])
+        ray = np.array(view.ray_of(camera, column + 0.5))
+        slope = (view.horizon_at(camera, column + 0.5) - row - 0.5) / camera["focal"]
+        number, side = (code - BUILDING) >> 4, (code - BUILDING) & 15
+        if code >= LEAF or (BUILDING <= code and side == 0 and scene.buildings["gable"][number]):
+            continue  # leaves and things have their own tracer; ornamental gables stand above the roof
+
+        def inside(t, ray=ray, slope=slope):
+            x, y = camera["x"] + t * ray[0], camera["y"] + t * ray[1]
+            z = camera["z"] + t * slope
+            within = (scene.buildings["normal"] @ (x, y) < scene.buildings["offset"] - 1e-6).all(axis=1)
+            plain = within & (scene.buildings["gable"] == 0)
+            return any(roof_at(scene.buildings[b], x, y) > z + 1e-6 for b in np.flatnonzero(plain))
+
+        reach = min(depth, 60.0)
+        for t in rng.uniform(0.05, 1.0, 8) * reach * 0.999:
+            assert not inside(t), f"({column}, {row}) passes through a building"
+        if code == GROUND:
+            assert abs(camera["z"] + depth * slope) < 1e-3 * depth
+            checked["ground"] += 1
+        elif code == SKY:
+            checked["sky"] += 1
+        elif scene.buildings["gable"][number] == 0:
+            assert inside(depth + 0.02)
+            checked["wall" if side < 4 else "roof"] += 1
+    assert min(checked["ground"], checked["wall"], checked["sky"]) > 10
+
+
+@given(st.floats(0, 640), st.floats(0, 480), st.floats(0.5, 300), st.booleans(), st.floats(-3, 3), st.floats(-0.05, 0.05))
+@settings(max_examples=100, deadline=None)
+def test_projection_inverts_the_rays(column, row, depth, panorama, heading, roll):
+    camera = city.CAMERAS["street_view" if panorama else "car"]
+    made = view.make_view(camera, view.Pose(12.0, -7.0, heading, roll=roll))[0]
+    ray = view.ray_of(made, column)
+    slope = (view.horizon_at(made, column) - row) / made["focal"]
+    point = made["x"] + depth * ray[0], made["y"] + depth * ray[1], made["z"] + depth * slope
+    np.testing.assert_allclose(view.project(made, *point), (column, row, depth), rtol=1e-6, atol=1e-6)
+
+
+@given(st.floats(-5, 5), st.floats(0.01, 3), st.floats(0.01, 4))
+@settings(max_examples=50, deadline=None)
+def test_cover_is_the_mean_of_a_bar_over_a_footprint(x, half, foot):
+    at = x + foot * ((np.arange(20_000) + 0.5) / 20_000 - 0.5)
+    assert abs(noise.cover(x, half, foot) - (np.abs(at) < half).mean()) < 2e-3
+
+
+@given(st.floats(-9, 9), st.floats(0.2, 3), st.floats(0.05, 0.95), st.floats(0.01, 6))
+@settings(max_examples=50, deadline=None)
+def test_stripes_are_the_mean_of_bars_over_a_footprint(x, period, share, foot):
+    at = x + foot * ((np.arange(20_000) + 0.5) / 20_000 - 0.5)
+    assert abs(noise.stripes(x, period, share * period, foot) - (at % period < share * period).mean()) < 4e-3
+
+
+@given(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4), st.integers(0, 10**6))
+@settings(max_examples=100, deadline=None)
+def test_noise_is_bounded_and_smooth(x, y, seed):
+    value = noise.noise2(x, y, float(seed))
+    assert 0 <= value < 1
+    assert abs(noise.noise2(x + 1e-4, y, float(seed)) - value) < 1e-3
+
+
+def test_hashes_are_evenly_spread():
+    values = np.array([noise.hash3(float(i), float(j), 5.0) for i in range(60) for j in range(60)])
+    counts, _ = np.histogram(values, bins=20, range=(0, 1))
+    assert counts.sum() == 3600
+    assert np.abs(counts - 180).max() < 60  # 4.6 standard deviations
+    assert abs(np.corrcoef(values[:-1], values[1:])[0, 1]) < 0.06
+
+
+@pytest.mark.parametrize("azimuth", [0, 40, 90, 135, 200, 270, 330])
+def test_a_tower_casts_a_shadow_as_long_as_geometry_says(azimuth):
+    heights = np.zeros((161, 161), np.float32)
+    heights[76:85, 76:85] = 10.0  # cells of half a metre
+    shadow = np.zeros_like(heights)
+    elevation = 30.0
+    cast_shadows(heights, np.radians(azimuth), np.radians(elevation), shadow)
+    away = -np.array([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))])
+    centre, towards_sun = np.array([80.0, 80.0]), -away
+    length = 10.0 / np.tan(np.radians(elevation)) / 0.5  # cells
+    for distance in (8, 14, 20, 26):
+        column, row = np.round(centre + distance * away).astype(int)
+        assert abs(shadow[row, column] - 10.0 * (1 - (distance - 4.5) / length)) < 1.6
+    column, row = np.round(centre + (length + 9) * away).astype(int)
+    assert shadow[row, column] == 0
+    column, row = np.round(centre + 8 * towards_sun).astype(int)
+    assert shadow[row, column] == 0
