@@ -31,7 +31,7 @@ from artifact import figures, galleries, report, studies
 from artifact.notebook import open_page
 
 page = open_page(profile)
-chosen, described = page.choose(dataset, prefer_real=True), method or page.methods[-1]
+chosen, described = page.choose(dataset, prefer="real"), method or page.methods[-1]
 erased = studies.what_is_erased(page.manifest, chosen, described, fraction=fraction, iterations=iterations, seed=seed)
 page = page.only(chosen, described)
 

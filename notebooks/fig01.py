@@ -19,7 +19,7 @@
 
 # %% tags=["parameters", "hide-input"]
 profile = "demo"
-dataset = None  # None takes the first dataset of the profile whose images are at hand
+dataset = None  # None takes one of the profile whose images are at hand, in metres if there is one
 method = None  # None takes the last method of the profile
 seed = 0
 
@@ -30,7 +30,7 @@ from artifact import galleries, pipeline, report
 from artifact.notebook import open_page
 
 page = open_page(profile)
-chosen = page.choose(dataset, images=True)
+chosen = page.choose(dataset, images=True, prefer="metres")
 described = method or page.methods[-1]
 measured = pipeline.evaluation(page.manifest, chosen, described, retrieve=1, seed=seed)
 result = measured.evaluation

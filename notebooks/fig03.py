@@ -19,7 +19,7 @@
 
 # %% tags=["parameters", "hide-input"]
 profile = "demo"
-dataset = None  # None takes the first dataset of the profile with a threshold in metres
+dataset = None  # None takes one of the profile, with a threshold in metres if there is one
 method = None  # None takes the last method of the profile
 fraction = 0.1  # of the queries, for fitting; the rest is shown
 iterations = 35
@@ -32,7 +32,7 @@ from artifact import figures, report, studies
 from artifact.notebook import open_page
 
 page = open_page(profile)
-chosen, described = page.choose(dataset, unit=None if dataset else "metres"), method or page.methods[-1]
+chosen, described = page.choose(dataset, prefer="metres"), method or page.methods[-1]
 one = studies.embedding(page.manifest, chosen, described, fraction=fraction, iterations=iterations, seed=seed)
 
 # %% tags=["remove-input", "full-width"]

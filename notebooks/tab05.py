@@ -30,7 +30,7 @@ seed = 0
 from IPython.display import display
 
 from artifact import findings, report, studies
-from artifact.notebook import open_page
+from artifact.notebook import NothingToShowError, open_page
 
 page = open_page(profile, datasets, methods)
 order = studies.order_of_fitting(page.manifest, page.datasets)
@@ -38,7 +38,7 @@ study = studies.irrelevant_conditions(
     page.manifest, order, page.methods, fraction=fraction, iterations=iterations, k=k, seed=seed
 )
 if study.table.empty:
-    raise ValueError("no dataset of this page has the key irrelevant_pairs in the manifest")
+    raise NothingToShowError("this page needs a dataset with the key irrelevant_pairs; none of this run has it")
 summary = studies.summary(study.table, ["suppression", "pair"])
 
 # %% tags=["remove-input"]

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ import torch
 from conftest import HOG, THUMBNAIL, tiny_manifest, write_images, write_manifest
 from torch import nn
 
-from artifact import datasets, extract, manifest, partial, store
+from artifact import datasets, extract, forward, manifest, methods, reading, shards, store
 from artifact.extract import ExtractionError
 
 WORKERS = pytest.mark.parametrize("workers", [0, 2])
@@ -210,6 +211,392 @@ def test_a_damaged_result_is_named(project):
     np.save(path, np.zeros((3, 3), np.float32))
     with pytest.raises(store.StoreError, match="does not fit its sidecar"):
         extract.descriptors(loaded, traversal, "hog", workers=0)
+
+
+# -- batches, whatever happens --------------------------------------------------------------------------------------
+
+
+class Jointly(nn.Module):
+    """Descriptors that depend on the images that share a batch, as CricaVPR's do."""
+
+    def forward(self, images):
+        pixels = images.flatten(1)[:, :108]
+        return torch.nn.functional.normalize(pixels - 0.9 * pixels.mean(dim=0), dim=-1)
+
+
+class Convolutions(nn.Module):
+    """A small network whose last digits depend on how the work is divided."""
+
+    def __init__(self):
+        super().__init__()
+        generator = torch.Generator().manual_seed(0)
+        self.kernels = nn.Parameter(torch.randn(108, 1, 9, 9, generator=generator))
+
+    def forward(self, images):
+        features = torch.nn.functional.conv2d(images, self.kernels).relu()
+        return torch.nn.functional.normalize(features.mean(dim=(2, 3)), dim=-1)
+
+
+def with_method(project, builder, **changes):
+    """The tiny project with a further method 'own' that a function of this file builds."""
+    content = tiny_manifest()
+    content["methods"]["own"] = HOG | {"title": "Own", "builder": f"{__name__}:{builder}"} | changes
+    loaded = manifest.load(write_manifest(project, content))
+    return loaded, datasets.load_traversal(loaded, "street", "day")
+
+
+def jointly():
+    return Jointly()
+
+
+def convolutions():
+    return Convolutions().requires_grad_(False)
+
+
+def batch_by_batch(traversal, entry, model):
+    """Descriptors by the protocol, written down directly: batches of fixed size from the first image on."""
+    images, _ = reading.prepare_batch(traversal.image_paths(), entry.preprocessing)
+    with torch.inference_mode():
+        return np.concatenate(
+            [
+                model(torch.from_numpy(images[start : start + entry.batch_size])).numpy()
+                for start in range(0, len(images), entry.batch_size)
+            ]
+        )
+
+
+@pytest.mark.parametrize("stop_after", [0, 1, 2])
+@pytest.mark.parametrize("device", ["cpu", "cpu,cpu", "cpu,cpu,cpu,cpu"])
+def test_batches_are_the_protocols_on_any_devices_and_after_any_stop(project, monkeypatch, stop_after, device):
+    loaded, traversal = with_method(project, "jointly", batch_dependent=True)
+    expected = batch_by_batch(traversal, loaded.method("own"), Jointly())
+    calls = []
+
+    class Stopping(Jointly):
+        def forward(self, images):
+            if len(calls) == stop_after:
+                raise KeyboardInterrupt
+            calls.append(len(images))
+            return super().forward(images)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(methods, "model_of", lambda name, entry: Stopping())
+        with pytest.raises(KeyboardInterrupt):
+            extract.descriptors(loaded, traversal, "own", device="cpu", workers=0)
+    found = extract.descriptors(loaded, traversal, "own", device=device, workers=0)
+    np.testing.assert_array_equal(found.values, expected)
+    assert not list((project / ".cache").rglob("*journal*"))
+
+
+def test_a_batch_dependent_method_has_the_batch_size_in_its_key(project):
+    keys = []
+    for size, dependent in ((5, True), (4, True), (5, False), (4, False)):
+        loaded, traversal = with_method(project, "jointly", batch_dependent=dependent, batch_size=size)
+        keys.append(extract.descriptor_key(traversal, "own", loaded.method("own")))
+    assert keys[2] == keys[3]
+    assert len(set(keys)) == 3
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_several_devices_give_the_same_bytes_as_one(project, workers):
+    loaded, traversal = with_method(project, "convolutions", batch_size=2)
+    files = []
+    for device in ("cpu", "cpu,cpu"):
+        found = extract.descriptors(loaded, traversal, "own", device=device, workers=workers)
+        assert found.sidecar["device"] == device.replace(",", ", ")
+        path = extract.stored_path(loaded, "own", found.key)
+        files.append(path.read_bytes())
+        path.unlink()
+        path.with_suffix(".json").unlink()
+    assert files[0] == files[1]
+
+
+def test_resuming_with_another_batch_size_mixes_no_rows(project, monkeypatch):
+    """What is on disk counts by rows: three batches of four are not three batches of five."""
+    loaded, traversal = with_method(project, "convolutions", batch_size=3)
+    expected = batch_by_batch(traversal, loaded.method("own"), convolutions())
+    calls = []
+
+    class Stopping(Convolutions):
+        def forward(self, images):
+            calls.append(len(images))
+            if len(calls) == 3:
+                raise KeyboardInterrupt
+            return super().forward(images)
+
+    monkeypatch.setattr(methods, "model_of", lambda name, entry: Stopping().requires_grad_(False))
+    with pytest.raises(KeyboardInterrupt):
+        extract.descriptors(loaded, traversal, "own", workers=0)
+    loaded, traversal = with_method(project, "convolutions", batch_size=5)
+    found = extract.descriptors(loaded, traversal, "own", workers=0)
+    assert calls == [3, 3, 3, 5, 2]  # rows 0 to 5 are there: the batch of the rows 5 to 9 is the first that misses one
+    np.testing.assert_allclose(found.values, expected, atol=1e-6)
+
+
+def test_broken_images_of_all_devices_are_named(project):
+    folder = project / "data" / "street" / "day"
+    for name in ("frame1.png", "frame11.png"):
+        (folder / name).write_bytes(b"not an image")
+    loaded, traversal = load(project)
+    with pytest.raises(ExtractionError, match="2 of 12 images cannot be read") as caught:
+        extract.descriptors(loaded, traversal, "thumbnail", device="cpu,cpu", workers=0)
+    assert "frame1.png" in str(caught.value)
+    assert "frame11.png" in str(caught.value)
+
+
+def failing():
+    raise manifest.ManifestError("no such thing")
+
+
+def dying():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.parametrize(
+    ("builder", "error", "message"),
+    [
+        ("failing", manifest.ManifestError, "no such thing"),
+        ("dying", ExtractionError, "ended by the signal 9; if memory ran out, use fewer devices. Run again to go on"),
+    ],
+)
+def test_what_ends_one_device_is_told(project, builder, error, message):
+    loaded, traversal = with_method(project, builder)
+    with pytest.raises(error, match=message):
+        extract.descriptors(loaded, traversal, "own", device="cpu,cpu", workers=0)
+    assert not [path for path in (project / ".cache" / "descriptors").rglob("*.npy") if not path.name.startswith(".")]
+
+
+def processes_with(mark):
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if mark.encode() in (entry / "environ").read_bytes():
+                found.append(entry.name)
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="looks for processes in /proc, which is not here")
+def test_nothing_outlives_a_killed_run(project):
+    write_images(project / "data" / "street" / "day", 120, seed=5)
+    loaded, traversal = with_method(project, "slow")
+    mark = f"mark-{os.getpid()}-{time.monotonic_ns()}"
+    code = (
+        "from artifact import datasets, extract, manifest\n"
+        "loaded = manifest.load('data_manifest.yaml')\n"
+        "traversal = datasets.load_traversal(loaded, 'street', 'day')\n"
+        "extract.descriptors(loaded, traversal, 'own', device='cpu,cpu', workers=1)"
+    )
+    modules = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    environment = os.environ | {"ARTIFACT_TEST_MARK": mark, "PYTHONPATH": modules}
+    process = subprocess.Popen([sys.executable, "-c", code], cwd=project, env=environment)
+    path = extract.stored_path(loaded, "own", extract.descriptor_key(traversal, "own", loaded.method("own")))
+    try:
+        deadline = time.monotonic() + 120
+        while len(list(path.parent.glob("*journal-*"))) < 2 and time.monotonic() < deadline:
+            assert process.poll() is None
+            time.sleep(0.05)
+        assert len(processes_with(mark)) >= 5  # the run, two devices, a reader of each
+    finally:
+        process.kill()
+        process.wait()
+    deadline = time.monotonic() + 30
+    while processes_with(mark) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert processes_with(mark) == []
+
+
+def slow():
+    def describe(images):
+        time.sleep(0.3)
+        return torch.nn.functional.normalize(images.flatten(1)[:, :108], dim=-1)
+
+    return describe
+
+
+# -- memory, devices, precision -------------------------------------------------------------------------------------
+
+
+class Hungry(nn.Module):
+    """A model for which no more than `most` images fit into memory."""
+
+    def __init__(self, most, error=None):
+        super().__init__()
+        self.most, self.seen = most, []
+        self.error = error or torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2 GiB.")
+
+    def forward(self, images):
+        self.seen.append(len(images))
+        if len(images) > self.most:
+            raise self.error
+        return torch.nn.functional.normalize(images.flatten(1)[:, :108], dim=-1)
+
+
+ON_THE_CPU = RuntimeError("[enforce fail at alloc_cpu.cpp:1] DefaultCPUAllocator: can't allocate memory")
+
+
+@pytest.mark.parametrize("error", [torch.OutOfMemoryError("CUDA out of memory."), ON_THE_CPU])
+def test_out_of_memory_goes_on_with_smaller_batches(project, monkeypatch, error):
+    loaded, traversal = with_method(project, "convolutions", batch_size=10)
+    model = Hungry(3, error)
+    monkeypatch.setattr(methods, "model_of", lambda name, entry: model)
+    with pytest.warns(RuntimeWarning) as told:
+        found = extract.descriptors(loaded, traversal, "own", workers=0)
+    assert [str(one.message) for one in told] == [
+        "Own: cpu has too little memory for 10 images at once; going on with 5",
+        "Own: cpu has too little memory for 5 images at once; going on with 3",
+    ]
+    assert model.seen == [10, 5, 3, 3, 3, 1, 2]  # halved until it fits, and remembered for the last batch
+    assert found.sidecar["images_at_once"] == 3
+    np.testing.assert_allclose(found.values, batch_by_batch(traversal, loaded.method("own"), Hungry(10)), atol=1e-6)
+
+
+def test_out_of_memory_never_divides_a_batch_that_descriptors_depend_on(project, monkeypatch):
+    loaded, traversal = with_method(project, "jointly", batch_dependent=True)
+    model = Hungry(3)
+    monkeypatch.setattr(methods, "model_of", lambda name, entry: model)
+    with pytest.raises(ExtractionError, match="A smaller batch would give other descriptors") as caught:
+        extract.descriptors(loaded, traversal, "own", workers=0)
+    assert "the protocol says 5" in str(caught.value)
+    assert "more memory" in str(caught.value)
+    assert model.seen == [5]
+    assert not list((project / ".cache" / "descriptors").rglob("*.partial.npy"))
+
+
+def test_one_image_too_many_for_memory_is_an_error(project, monkeypatch):
+    loaded, traversal = with_method(project, "convolutions", batch_size=2)
+    monkeypatch.setattr(methods, "model_of", lambda name, entry: Hungry(0))
+    with (
+        pytest.warns(RuntimeWarning, match="going on with 1"),
+        pytest.raises(ExtractionError, match="too little memory for one image of 32 × 64 pixels"),
+    ):
+        extract.descriptors(loaded, traversal, "own", workers=0)
+
+
+def test_other_errors_of_a_model_are_not_taken_for_short_memory(project, monkeypatch):
+    loaded, traversal = with_method(project, "convolutions")
+    model = Hungry(0, RuntimeError("shapes do not fit"))
+    monkeypatch.setattr(methods, "model_of", lambda name, entry: model)
+    with pytest.raises(RuntimeError, match="shapes do not fit"):
+        extract.descriptors(loaded, traversal, "own", workers=0)
+    assert model.seen == [5]
+
+
+def test_batch_dependent_images_of_different_sizes_are_refused(project):
+    from PIL import Image
+
+    Image.new("RGB", (20, 90), (10, 200, 30)).save(project / "data" / "street" / "day" / "frame2.png")
+    native = {"resize": "native", "mean": [0.0] * 3, "std": [1.0] * 3}
+    loaded, traversal = with_method(project, "jointly", batch_dependent=True, preprocessing=native)
+    with pytest.raises(ExtractionError, match=r"different sizes \(48 × 64, 90 × 20\).*'resize: fixed'"):
+        extract.descriptors(loaded, traversal, "own", workers=0)
+
+
+def test_a_full_disk_is_said_before_any_work(project, monkeypatch):
+    loaded, traversal = load(project)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
+    monkeypatch.setattr(methods, "model_of", lambda name, entry: pytest.fail("a model was built"))
+    with pytest.raises(store.StoreError, match=r"no room for 12 descriptors of 108 dimensions: .* ARTIFACT_CACHE"):
+        extract.descriptors(loaded, traversal, "hog", workers=0)
+    assert not list((project / ".cache" / "descriptors").rglob("*.npy"))
+
+
+def test_mixed_precision_is_another_result(project):
+    loaded, traversal = with_method(project, "convolutions")
+    entry = loaded.method("own")
+    exact = extract.descriptors(loaded, traversal, "own", workers=0)
+    mixed = extract.descriptors(loaded, traversal, "own", workers=0, precision="bfloat16")
+    assert (exact.sidecar["precision"], mixed.sidecar["precision"]) == ("float32", "bfloat16")
+    assert len({extract.descriptor_key(traversal, "own", entry, precision) for precision in extract.PRECISIONS}) == 3
+    assert exact.key == extract.descriptor_key(traversal, "own", entry)
+    assert mixed.values.dtype == np.float32
+    np.testing.assert_allclose(np.linalg.norm(mixed.values, axis=1), 1, atol=1e-5)
+    assert 1e-5 < np.abs(exact.values - mixed.values).max() < 0.05
+    with pytest.raises(ExtractionError, match="precision 'int4': allowed are float32, bfloat16, float16"):
+        extract.descriptors(loaded, traversal, "own", precision="int4")
+
+
+def test_float32_is_never_tf32():
+    before = torch.backends.cudnn.allow_tf32, torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("high")
+    with forward.numerics(torch.device("cuda"), "float32"):
+        assert not torch.backends.cudnn.allow_tf32
+        assert torch.backends.cudnn.deterministic
+        assert torch.get_float32_matmul_precision() == "highest"
+    assert torch.get_float32_matmul_precision() == "high"
+    torch.set_float32_matmul_precision(before[1])
+    assert torch.backends.cudnn.allow_tf32 == before[0]
+
+
+@pytest.mark.parametrize("text", ["gpu", "cuda:99", "cpu,cuda:99", "cuda:x", "", "cpu,"])
+def test_devices_that_are_not_here_are_named(project, text):
+    loaded, traversal = load(project)
+    with pytest.raises(ExtractionError, match=r"not on this machine; here are cpu"):
+        extract.descriptors(loaded, traversal, "hog", device=text)
+    assert not list((project / ".cache").rglob("*.partial.npy"))
+
+
+def test_without_cuda_the_cpu_is_taken(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert forward.devices(None) == forward.devices("all") == [torch.device("cpu")]
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    assert forward.devices(None) == [torch.device("cuda", 0)]
+    assert forward.devices("all") == forward.devices("cuda:0, cuda:1")
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device; this machine has none")
+@pytest.mark.parametrize("devices", ["cuda", "cuda:0,cuda:0", "all"])
+def test_cuda_gives_the_descriptors_of_the_cpu(project, devices):
+    loaded, traversal = with_method(project, "convolutions", batch_size=2)
+    found = extract.descriptors(loaded, traversal, "own", device=devices)
+    np.testing.assert_allclose(found.values, batch_by_batch(traversal, loaded.method("own"), convolutions()), atol=1e-5)
+
+
+# -- reading --------------------------------------------------------------------------------------------------------
+
+
+def test_reading_in_this_process_leaves_the_threads_of_the_model_alone(project):
+    loaded, traversal = load(project)
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        extract.descriptors(loaded, traversal, "hog", workers=0)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_batches_are_read_in_order_whatever_the_workers(project):
+    loaded, traversal = load(project)
+    paths = traversal.image_paths()
+    batches = [paths[start : start + 1] for start in range(12)]
+    how = loaded.method("hog").preprocessing
+    alone = [images for images, _ in reading.read_batches(batches, how, 0)]
+    for workers in (1, 3):
+        together = [images for images, _ in reading.read_batches(batches, how, workers)]
+        np.testing.assert_array_equal(np.stack(together), np.stack(alone))
+
+
+def test_the_second_output_comes_with_its_rows(project):
+    loaded, traversal = load(project)
+    entry = loaded.method("hog")
+    received = []
+
+    def both(images):
+        flat = images.flatten(1)
+        return torch.nn.functional.normalize(flat[:, :108], dim=-1), (flat[:, :8] > 0).to(torch.int8)
+
+    run = forward.Forward(both, entry, torch.device("cpu"))
+    rows = [rows for rows, _ in shards.describe(
+        traversal, entry, run, shards.batches(12, 5), workers=0, second=lambda *one: received.append(one))]  # fmt: skip
+    assert [one for one, _ in received] == rows == [slice(0, 5), slice(5, 10), slice(10, 12)]
+    assert all(values.dtype == np.int8 for _, values in received)
+    images, _ = reading.prepare_batch(traversal.image_paths(), entry.preprocessing)
+    np.testing.assert_array_equal(np.concatenate([v for _, v in received]), images.reshape(12, -1)[:, :8] > 0)
 
 
 # -- images of different sizes, methods from outside ----------------------------------------------------------------

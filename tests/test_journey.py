@@ -13,11 +13,13 @@ import sys
 import nbformat
 import numpy as np
 import pytest
+import yaml
 from conftest import REPOSITORY, tiny_manifest, write_images, write_manifest
 
 DRIVE = {
     "title": "Drive", "kind": "folder", "threshold": {"value": 25, "unit": "metres"}, "query": "day", "database": "night",
     "shift": "day→night", "distractor_traversals": ["dusk", "night_2"], "same_condition_traversal": "dusk",
+    "irrelevant_pairs": [["day", "dusk"]],
     "traversals": {
         "day": {"condition": "day"}, "night": {"condition": "night"}, "dusk": {"condition": "dusk"}, "night_2": {"condition": "night"},
     },
@@ -155,6 +157,29 @@ def test_bad_parameters_stop_before_anything_runs(tiny, parameter, message):
     assert message in output
     assert "Traceback" not in output
     assert sorted((project / ".cache" / "notebooks").iterdir()) == before
+
+
+def test_a_page_that_no_dataset_suits_says_so_and_fails_nothing(tiny):
+    project, _ = tiny
+    manifest = (project / "data_manifest.yaml").read_text()
+    frames = yaml.safe_load(manifest)
+    frames["profiles"]["frames"] = {"description": "frames only", "datasets": ["street"], "methods": ["hog"]}
+    write_manifest(project, frames)
+    kept = {path: path.read_bytes() for path in (project / "book" / "executed").glob("*.ipynb")}
+    try:
+        status, output = artifact(project, "run", "--profile", "frames", "--only", "fig07")
+        assert status == 0, output
+        page = nbformat.writes(executed(project)["fig07"])
+        assert "Nothing to show in this run" in page
+        assert "distractor_traversals" in page
+        status, output = artifact(project, "run", "--profile", "frames", "--only", "fig07", "-p", "dataset=street")
+        assert status == 1
+        assert "fig07.py" in output
+        assert "distractor_traversals" in output
+    finally:
+        (project / "data_manifest.yaml").write_text(manifest)
+        for path, content in kept.items():
+            path.write_bytes(content)
 
 
 def test_a_failing_notebook_fails_the_run_and_is_named(tiny):

@@ -88,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("extract", _extract, "extract the descriptors of a profile")
     scope(sub)
     sub.add_argument("--devices", "--device", metavar="DEVICES",
-                     help="for example cpu, cuda:1, cuda:0,cuda:1 or all, which share the images (default: CUDA if there is any)")  # fmt: skip
+                     help="for example cpu, cuda:1, cuda:0,cuda:1 or all (default: one CUDA device if there is any)")  # fmt: skip
     sub.add_argument("--precision", choices=("float32", "bfloat16", "float16"), default="float32",
                      help="mixed precision gives other descriptors, stored beside the former (default: float32)")  # fmt: skip
     sub.add_argument("--dry-run", action="store_true", help="extract nothing; say what it takes on this machine")

@@ -107,7 +107,7 @@ def fetch(url: str, partial: Path, *, label: str, progress: bool = True) -> None
             except _Interrupted as interruption:
                 reason = str(interruption)
             idle = 0 if _size(partial) > farthest else idle + 1
-            farthest = _size(partial)
+            farthest = max(farthest, _size(partial))
     kept = _size(partial) if _known(url, partial).get("version") else 0
     more = f"; {kept:,} bytes are kept, run the same command again to go on" if kept else ""
     raise DownloadError(f"{reason}, in {ATTEMPTS} attempts{more}")

@@ -14,6 +14,8 @@ from artifact.reading import ExtractionError, Prepared
 
 Model = Callable[[torch.Tensor], torch.Tensor | tuple[torch.Tensor, ...]]
 
+_NEARLY_UNIT = 0.02  # bfloat16 has eight bits of mantissa
+
 
 def devices(text: str | torch.device | None) -> list[torch.device]:
     """Return the devices that a text names.
@@ -128,7 +130,15 @@ class Forward:
         with torch.inference_mode(), numerics(self._device, self._precision):
             outputs = self._model(batch.to(self._device, non_blocking=True))
             outputs = outputs if isinstance(outputs, tuple) else (outputs,)
-            return tuple(output.float() if output.is_floating_point() else output for output in outputs)
+            return tuple(self._float32(output) if output.is_floating_point() else output for output in outputs)
+
+    def _float32(self, output: torch.Tensor) -> torch.Tensor:
+        """Return an output as float32; what was scaled to unit length in few digits has unit length again."""
+        output = output.float()
+        if self._precision == "float32":
+            return output
+        length = torch.linalg.vector_norm(output, dim=-1, keepdim=True)
+        return torch.where((length - 1).abs() < _NEARLY_UNIT, output / length, output)
 
     def _take_fewer(self, size: int, image_size: Sequence[int], reason: str) -> None:
         if self._device.type == "cuda":

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from artifact import datasets as data
 from artifact import manifest as manifests
 from artifact.manifest import Manifest, ManifestError
 from artifact.plotting import use_style
 
-__all__ = ["Page", "open_page"]
+__all__ = ["NothingToShowError", "Page", "open_page"]
+
+
+class NothingToShowError(ManifestError):
+    """No dataset of the run has what a page needs; the page then says so instead of failing the run."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,8 @@ class Page:
             images.append(f"real images ({', '.join(real)})")
         if rendered:
             images.append(f"rendered images ({rendered[0] if len(rendered) == 1 else f'{len(rendered)} City pairs'})")
-        return f"Measured by profile “{self.profile}” on {' and '.join(images)} with {' and '.join(what[k] for k in sorted(kinds))}."
+        with_what = " and ".join(what[kind] for kind in sorted(kinds))
+        return f"Measured by profile “{self.profile}” on {' and '.join(images)} with {with_what}."
 
     def only(self, dataset: str, *methods: str) -> Page:
         """Return the page narrowed to one dataset, and to some methods if any are named."""
@@ -68,7 +74,7 @@ class Page:
         distractor_traversals: bool = False,
         same_condition_traversal: bool = False,
         images: bool = False,
-        prefer_real: bool = False,
+        prefer: Literal["real", "metres"] | None = None,
     ) -> str:
         """Return the named dataset, or the first of the profile that suits.
 
@@ -82,17 +88,21 @@ class Page:
             Whether the manifest must name traversals of further conditions, or of the query's kind of condition.
         images
             Whether the images of the pair must be at hand.
-        prefer_real
-            Whether real images come before rendered ones.
+        prefer
+            What comes first: real images, or a threshold in metres.
 
         Raises
         ------
         ManifestError
-            If none suits; the message says what is needed.
+            If the named dataset does not suit; the message says what is needed.
+        NothingToShowError
+            If no dataset of the profile suits.
         """
         candidates = list(self.datasets if dataset is None else [dataset])
-        if prefer_real:
+        if prefer == "real":
             candidates.sort(key=lambda name: data.entry_of(self.manifest, name).kind == "city")
+        elif prefer == "metres":
+            candidates.sort(key=lambda name: data.entry_of(self.manifest, name).threshold.unit != "metres")
         for name in candidates:
             entry = data.entry_of(self.manifest, name)
             if (
@@ -106,8 +116,10 @@ class Page:
         needs += ["the key distractor_traversals"] if distractor_traversals else []
         needs += ["the key same_condition_traversal"] if same_condition_traversal else []
         needs += ["its images at hand"] if images else []
-        where = f"dataset {dataset!r}" if dataset else f"no dataset of profile {self.profile!r}"
-        raise ManifestError(f"{where}: this page needs a dataset with {' and '.join(needs)}")
+        need = f"this page needs a dataset with {' and '.join(needs)}"
+        if dataset is not None:
+            raise ManifestError(f"dataset {dataset!r}: {need}")
+        raise NothingToShowError(f"{need}; no dataset of profile {self.profile!r} is one")
 
     def _has_images(self, name: str) -> bool:
         loaded = data.load(self.manifest, name)

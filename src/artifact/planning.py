@@ -294,8 +294,8 @@ def _footnotes(
     yield f"time: on {', '.join(map(str, devices))}, from a short trial of each model; trained weights do not change it"
     if any("not there yet" in need.notes for need in needs):
         yield (
-            f"not there yet: the number of images is the paper's, or that of the descriptors that ship; images are taken "
-            f"to be {ASSUMED_SIZE[0]} × {ASSUMED_SIZE[1]} pixels"
+            f"not there yet: the number of images is the paper's, or that of the descriptors that ship; images are "
+            f"taken to be {ASSUMED_SIZE[0]} × {ASSUMED_SIZE[1]} pixels"
         )
     readers = [trial.reader_memory for trial in trials if trial.reader_memory]
     if readers:
@@ -314,7 +314,7 @@ def duration(seconds: float | None) -> str:
     Examples
     --------
     >>> [duration(seconds) for seconds in (None, 0, 0.4, 59, 3700, 1e6)]
-    ['?', '0 s', '0.4 s', '59 s', '1 h 2 min', '11 d 14 h']
+    ['?', '0 s', '0.4 s', '59 s', '1 h 1 min', '11 d 13 h']
     """
     if seconds is None:
         return "?"

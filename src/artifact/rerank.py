@@ -402,8 +402,6 @@ def _steps(kind, second, keys, n):
             slot -= 1
         chosen[slot] = entry
         size = min(size + 1, n)
-        if number + 1 < distractors.size and keys[distractors[number + 1]] == keys[entry]:
-            continue  # images at the same distance come together
         rank = _rank_of_best(kind[chosen[:size]], second[chosen[:size]], False) or n + 1
         if rank != ranks[steps - 1]:
             at[steps], ranks[steps] = keys[entry], rank

@@ -26,6 +26,7 @@ from tqdm import tqdm
 
 from artifact import datasets, extract, methods, parameters, store, weights
 from artifact.manifest import Manifest
+from artifact.notebook import NothingToShowError
 
 _RUN_WITH = ("papermill", "ipykernel", "numpy", "torch", "scikit-learn", "pandas", "matplotlib")
 
@@ -219,9 +220,12 @@ def _run_one(manifest: Manifest, task: Task, key: str, output: Path, *, force: b
             try:
                 _execute(task, stored)
             except PapermillExecutionError as fault:
-                target.unlink(missing_ok=True)  # an older page must not pass for this run's
-                error = f"notebooks/{task.path.name}: cell {fault.cell_index + 1}: {fault.ename}: {fault.evalue}"
-                return Outcome(task.name, key, False, time.monotonic() - begun, task.parameters, error)
+                if fault.ename == NothingToShowError.__name__ and task.parameters.get("dataset") is None:
+                    _write_empty_page(task, stored, str(fault.evalue))
+                else:
+                    target.unlink(missing_ok=True)  # an older page must not pass for this run's
+                    error = f"notebooks/{task.path.name}: cell {fault.cell_index + 1}: {fault.ename}: {fault.evalue}"
+                    return Outcome(task.name, key, False, time.monotonic() - begun, task.parameters, error)
             store.write_json(record, {"key": key, "seconds": round(time.monotonic() - begun, 3)})
         seconds = store.read_json(record)["seconds"]
     with store.replacing(target) as temporary:
@@ -245,6 +249,17 @@ def _execute(task: Task, stored: Path) -> None:
             _strip(temporary)
         finally:
             source.unlink(missing_ok=True)
+
+
+def _write_empty_page(task: Task, stored: Path, reason: str) -> None:
+    """Put a page that says why there is nothing to show in the place of a notebook that no dataset suits."""
+    cells = jupytext.read(task.path).cells
+    first = next(cell for cell in cells if cell.cell_type == "markdown")
+    note = nbformat.v4.new_markdown_cell(f":::{{admonition}} Nothing to show in this run\n{reason}\n:::")
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_markdown_cell(first.source), note])
+    with store.replacing(stored) as temporary:
+        nbformat.write(notebook, temporary)
+    _strip(stored)
 
 
 def _strip(path: Path) -> None:

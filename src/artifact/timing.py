@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
-from artifact import methods, reading
+from artifact import local_features, methods, reading
 from artifact.manifest import MethodEntry
 
 if TYPE_CHECKING:
@@ -159,7 +159,9 @@ def _forward(
 
     reader, n = _peak(), entry.batch_size
     model = methods.build(method) if entry.builder is None else methods.model_of(method, entry)
-    forward = Forward(model.to(device), entry, device, precision)
+    layout = local_features.layout_of(entry)
+    outputs = model.to(device) if layout is None else local_features.both_outputs(model.to(device), layout, method)
+    forward = Forward(outputs, entry, device, precision)
     loaded = _peak(device)
 
     def seconds_of(batch: np.ndarray) -> float:

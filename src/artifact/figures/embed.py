@@ -30,5 +30,5 @@ def embed(figure: Figure, description: str, *, form: str = "svg", width: int | N
     figure.savefig(stream, format=form, **options)
     kind = {"svg": "image/svg+xml", "jpeg": "image/jpeg"}[form]
     data = base64.b64encode(stream.getvalue()).decode()
-    style = f' style="max-width:{width}px"' if width else ""
+    style = f' style="width:100%;max-width:{width}px"' if width else ""
     return HTML(f'<img class="figure"{style} alt="{html.escape(description)}" src="data:{kind};base64,{data}">')

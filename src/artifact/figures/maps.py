@@ -76,17 +76,17 @@ def _draw_map(axes: Axes, one: MixedDatabase, result: Evaluation, *, with_added:
     planes = [values[:, :2] if values.shape[1] > 1 else _on_two_lines(values) for values in (starts, places, ends)]
     begin, where, end = planes
     for colour, chosen, width, order in (
-        (WRONG_COLOUR, shown[~right[shown]], 0.7, 2), (RIGHT_COLOUR, shown[right[shown]], 1.1, 3),
+        (WRONG_COLOUR, shown[~right[shown]], 0.7, 2), (RIGHT_COLOUR, shown[right[shown]], 2.6, 6),
     ):  # fmt: skip
         lines = np.stack([begin[chosen], end[chosen]], axis=1)
         axes.add_collection(LineCollection(lines, colors=colour, linewidths=width, alpha=0.75, zorder=order))
-    axes.scatter(*where.T, s=3, color=DATABASE_COLOUR, zorder=4, linewidths=0)
-    axes.scatter(*begin.T, s=3, color=QUERY_COLOUR, zorder=5, linewidths=0)
+    axes.scatter(*where.T, s=14, color=DATABASE_COLOUR, zorder=4, linewidths=0)
+    axes.scatter(*begin.T, s=5, color=QUERY_COLOUR, zorder=5, linewidths=0)
     if len(one.fitted_queries):
         fitted = data.query.positions[one.fitted_queries][:, :2]
-        axes.scatter(*fitted.T, s=14, color=FITTING_COLOUR, zorder=6, linewidths=0)
+        axes.scatter(*fitted.T, s=14, color=FITTING_COLOUR, zorder=7, linewidths=0)
     if with_added and len(added):
-        axes.scatter(*added[:, :2].T, s=16, color=DISTRACTOR_COLOUR, zorder=7, linewidths=0.4, edgecolors="white")
+        axes.scatter(*added[:, :2].T, s=16, color=DISTRACTOR_COLOUR, zorder=8, linewidths=0.4, edgecolors="white")
     axes.autoscale()
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xticks([])

@@ -39,24 +39,23 @@ def heat_maps(table: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> 
     """
     datasets = dict(zip(table["dataset"], table["title"], strict=True))
     suppressors = [name for name in table["suppression"].unique() if name != "original"]
-    figure = Figure(figsize=(1.9 + 0.62 * len(datasets) * len(suppressors), 3 * (0.62 + 0.36 * len(titles)) + 0.9))
+    # The shorter axis runs across, so that the numbers stay legible.
+    across, down = (titles, datasets) if len(titles) < len(datasets) else (datasets, titles)
+    names = ("method", "dataset") if across is titles else ("dataset", "method")
+    size = (2.0 + 0.68 * len(across) * len(suppressors), 3 * (0.55 + 0.27 * len(down)) + 1.2)
+    figure = Figure(figsize=size)
     axes = figure.subplots(3, len(suppressors), sharex=True, sharey=True, squeeze=False)
     for row, (column, (name, better, colours)) in zip(axes, _QUANTITIES.items(), strict=True):
         limit = max(10.0, float(np.nanmax(np.abs(table[column]))))
         for panel, suppressor in zip(row, suppressors, strict=True):
-            part = table[table["suppression"] == suppressor].pivot_table(
-                index="method", columns="dataset", values=column
-            )
-            values = part.reindex(index=list(titles), columns=list(datasets)).to_numpy()
-            _heat_map(panel, values, limit, colours)
-            panel.set_title(f"{name.format(k=k)}, {suppressor}", fontsize=9, pad=3)
-        row[0].set_yticks(range(len(titles)), list(titles.values()))
-        row[-1].annotate(
-            f"pp, {better}", (1.02, 0.5), xycoords="axes fraction", rotation=270, va="center", fontsize=8, color="0.35"
-        )
+            part = table[table["suppression"] == suppressor].pivot_table(index=names[1], columns=names[0], values=column)
+            _heat_map(panel, part.reindex(index=list(down), columns=list(across)).to_numpy(), limit, colours)
+            panel.set_title(suppressor, fontsize=9, pad=3, loc="left")
+        row[0].set_yticks(range(len(down)), list(down.values()))
+        row[0].set_title(f"{name.format(k=k)}, change in pp ({better})\n\n{suppressors[0]}", fontsize=9, pad=3, loc="left")
     for panel in axes[-1]:
-        panel.set_xticks(range(len(datasets)), list(datasets.values()), rotation=40, ha="right")
-    figure.tight_layout(h_pad=0.6, w_pad=0.6)
+        panel.set_xticks(range(len(across)), list(across.values()), rotation=40, ha="right")
+    figure.tight_layout(h_pad=0.8, w_pad=0.6)
     text = f"Changes by suppression of {len(titles)} methods on {len(datasets)} datasets; the numbers are in the table"
     return embed(figure, text)
 

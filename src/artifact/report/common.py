@@ -11,6 +11,9 @@ from IPython.display import HTML
 
 from artifact.findings import PAGES, Finding
 
+_SHORT = 24  # characters that a table cell keeps on one line
+_TALL = 30  # rows from which on a table scrolls in a box of its own
+
 
 def finding(*findings: Finding) -> HTML:
     """Show claims of the paper, what this run measured, and whether they agree."""
@@ -76,20 +79,26 @@ def table(
 ) -> HTML:  # fmt: skip
     """Show a frame as a plain table; columns named in ``numeric`` are set flush right."""
     right = set(numeric)
-    head = "".join(f'<th class="{"right" if c in right else ""}">{html.escape(str(c))}</th>' for c in frame.columns)
+    styles = {column: "right" if column in right else _text_style(frame[column]) for column in frame.columns}
+    head = "".join(f'<th class="{styles[c]}">{html.escape(str(c))}</th>' for c in frame.columns)
     body = "".join(
         "<tr>"
         + "".join(
-            f'<td class="{"right" if column in right else ""}">{html.escape(str(value)) if escape else value}</td>'
+            f'<td class="{styles[column]}">{html.escape(str(value)) if escape else value}</td>'
             for column, value in zip(frame.columns, row, strict=True)
         )
         + "</tr>"
         for row in frame.itertuples(index=False)
     )
     text = f"<caption>{caption}</caption>" if caption else ""
-    return HTML(
-        f'<div class="scroll"><table class="results {classes}">{text}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
-    )
+    inner = f"{text}<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
+    tall = " tall" if len(frame) > _TALL else ""
+    return HTML(f'<div class="scroll{tall}"><table class="results {classes}">{inner}</table></div>')
+
+
+def _text_style(column: pd.Series) -> str:
+    """Keep short texts on one line."""
+    return "short" if column.astype(str).str.len().max() <= _SHORT else ""
 
 
 def marks(values: Sequence[float]) -> list[str]:

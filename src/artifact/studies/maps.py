@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -240,7 +241,10 @@ def mutual_neighbours(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def _umap(rows: np.ndarray, seed: int) -> np.ndarray:
-    import umap
+    with warnings.catch_warnings():
+        # It warns about optional parts that are not used here: progress bars for notebooks, a neural variant.
+        warnings.simplefilter("ignore")
+        import umap
 
     neighbours = min(15, len(rows) - 1)
     # A fixed seed makes UMAP run in one thread; asking for one thread says so without a warning.

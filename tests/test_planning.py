@@ -1,0 +1,273 @@
+"""The dry run: what it counts is what extraction would do, and it leaves no trace."""
+
+import multiprocessing
+import subprocess
+import sys
+import time
+
+import pytest
+import torch
+from conftest import HOG, REPOSITORY, tiny_manifest, write_images, write_manifest
+
+from artifact import cli, datasets, extract, manifest, planning, timing
+from artifact.planning import Need, Part
+from artifact.timing import Timing
+
+CPU = torch.device("cpu")
+
+
+def files_below(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def table_of(output):
+    """Rows of the printed table by method and dataset: images, batches, and the rest as text."""
+    rows = {}
+    for line in output.splitlines():
+        words = line.split()
+        numbers = [word.replace(",", "") for word in words[2:4]]
+        if len(words) > 4 and words[0] != "total" and all(number.isdigit() for number in numbers):
+            rows[words[0], words[1]] = (*map(int, numbers), line)
+    return rows
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Trials that take no time, and the methods and image sizes that were tried."""
+    tried = []
+
+    def trial(method, entry, image_size, device, precision):
+        tried.append((method, image_size, str(device), precision))
+        return Timing(0.5, 0.01, 2e9, 2e8, "one image")
+
+    monkeypatch.setattr(timing, "time_method", trial)
+    return tried
+
+
+def test_a_dry_run_counts_measures_and_leaves_no_trace(project, capsys):
+    before = files_below(project)
+    assert cli.main(["extract", "--dry-run", "--manifest", str(project / "data_manifest.yaml")]) == 0
+    assert files_below(project) == before
+    assert not (project / ".cache").exists()
+    output = capsys.readouterr().out
+    rows = table_of(output)
+    assert rows["thumbnail", "street"][:2] == (24, 6)  # two traversals of twelve images, batches of four
+    assert rows["hog", "street"][:2] == (24, 6)  # batches of five: 5, 5, 2
+    assert "timed with a batch of 5" in rows["hog", "street"][2]
+    assert "total" in output
+    assert " free in " in output
+    assert "?" not in output
+
+
+def test_what_is_stored_needs_nothing(project, quick):
+    loaded = manifest.load(project / "data_manifest.yaml")
+    day = datasets.load_traversal(loaded, "street", "day")
+    extract.descriptors(loaded, day, "hog", workers=0)
+    rows = table_of("\n".join(planning.lines(loaded, "demo")))
+    assert rows["hog", "street"][:2] == (12, 3)
+    assert "1 of 2 traversals stored" in rows["hog", "street"][2]
+    assert rows["thumbnail", "street"][0] == 24
+    extract.descriptors(loaded, datasets.load_traversal(loaded, "street", "night"), "hog", workers=0)
+    quick.clear()
+    rows = table_of("\n".join(planning.lines(loaded, "demo")))
+    assert rows["hog", "street"][:2] == (0, 0)
+    assert rows["hog", "street"][2].endswith("stored")
+    assert [method for method, *_ in quick] == ["thumbnail"]
+    assert table_of("\n".join(planning.lines(loaded, "demo", precision="bfloat16")))["hog", "street"][0] == 24
+
+
+@pytest.mark.parametrize("change", ["preprocessing", "number of images"])
+def test_descriptors_of_another_time_do_not_count_as_stored(project, quick, change):
+    loaded = manifest.load(project / "data_manifest.yaml")
+    extract.descriptors(loaded, datasets.load_traversal(loaded, "street", "day"), "hog", workers=0)
+    if change == "preprocessing":
+        content = tiny_manifest()
+        content["methods"]["hog"]["preprocessing"]["interpolation"] = "bicubic"
+        loaded = manifest.load(write_manifest(project, content))
+    else:
+        (project / "data" / "street" / "day" / "frame3.png").unlink()
+    parts = planning.known_parts(loaded, "street")
+    assert not any(planning.is_stored(loaded, "hog", "street", part, "float32") for part in parts)
+
+
+def test_counts_are_those_of_the_loaded_traversals(project):
+    """Image lists and thinning by distance are counted as loading applies them."""
+    folder = project / "data" / "drive"
+    for name in ("day", "night"):
+        write_images(folder / name, 20, seed=3)
+        lines = [f"frame{i}.png,{0.4 * i:.1f},0" for i in range(20)]
+        (folder / name / "positions.csv").write_text("\n".join(["image,x,y", *lines]))
+    (folder / "list.txt").write_text("\n".join(f"frame{i}.png" for i in range(3, 17)))
+    drive = {
+        "title": "Drive", "kind": "folder", "threshold": {"value": 25, "unit": "metres"}, "query": "day", "database": "night",
+        "traversals": {
+            "day": {"condition": "day", "spacing": 1.0, "positions": "csv"},
+            "night": {"condition": "night", "image_list": "list.txt"}, "dusk": {"condition": "dusk"},
+        },
+    }  # fmt: skip
+    loaded = manifest.load(write_manifest(project, tiny_manifest(drive=drive)))
+    parts = planning.known_parts(loaded, "drive")
+    assert [part.name for part in parts] == ["day", "night"]  # dusk is neither here nor needed
+    for part in parts:
+        assert part.images == len(datasets.load_traversal(loaded, "drive", part.name)) < 20
+        assert (part.state, part.image_size) == ("here", (48, 64))
+
+
+def test_the_papers_profile_is_planned_without_data_and_weights(tmp_path, monkeypatch, quick):
+    monkeypatch.setenv("ARTIFACT_DATA_ROOT", str(tmp_path / "none"))
+    monkeypatch.setenv("ARTIFACT_CACHE", str(tmp_path / "cache"))
+    loaded = manifest.load(REPOSITORY / "data_manifest.yaml")
+    text = "\n".join(planning.lines(loaded, "paper"))
+    rows = table_of(text)
+    assert len(rows) == 6 * 11
+    for (method, dataset), (images, batches, line) in rows.items():
+        counts = loaded.dataset(dataset).paper
+        size = loaded.method(method).batch_size
+        assert "not there yet" in line
+        assert "weights not there yet" in line
+        if dataset != "gardens_point":  # its third traversal is known from the descriptors that ship
+            assert images == counts.queries + counts.database
+            assert batches == -(-counts.queries // size) - (-counts.database // size)
+    assert "10.8 GB" in rows["anyloc", "nordland"][2]  # 55,184 descriptors of 49,152 float32
+    assert "480 × 640 pixels" in text
+    assert not (tmp_path / "cache").exists()
+    assert {size for _, size, *_ in quick} == {(480, 640)}
+    assert len(quick) == 11
+
+
+def test_each_size_of_input_is_tried_once(project, quick):
+    content = tiny_manifest()
+    content["methods"]["hog"]["preprocessing"] = HOG["preprocessing"] | {"resize": "native"}
+    del content["methods"]["hog"]["preprocessing"]["size"]
+    write_images(project / "data" / "street" / "night", 12, seed=1)
+    from PIL import Image
+
+    for path in (project / "data" / "street" / "night").iterdir():
+        Image.open(path).resize((80, 60)).save(path)
+    loaded = manifest.load(write_manifest(project, content))
+    list(planning.lines(loaded, "demo", precision="bfloat16"))
+    assert quick == [
+        ("thumbnail", (48, 64), "cpu", "bfloat16"),
+        ("hog", (48, 64), "cpu", "bfloat16"),
+        ("hog", (60, 80), "cpu", "bfloat16"),
+    ]
+
+
+def test_time_shares_cores_on_the_cpu_and_images_on_cuda(monkeypatch):
+    monkeypatch.setattr(planning.os, "cpu_count", lambda: 4)
+    assert planning.seconds_per_image(Timing(0.5, 0.1, 1, 1), [CPU]) == pytest.approx(0.5 + 0.1 / 4)
+    one, two = [torch.device("cuda", 0)], [torch.device("cuda", 0), torch.device("cuda", 1)]
+    assert planning.seconds_per_image(Timing(0.5, 0.1, 1, 1), one) == pytest.approx(0.5)
+    assert planning.seconds_per_image(Timing(0.5, 0.1, 1, 1), two) == pytest.approx(0.25)
+    assert planning.seconds_per_image(Timing(0.01, 0.9, 1, 1), one) == pytest.approx(0.3)  # three readers are too few
+
+
+def test_totals_say_when_something_is_unknown():
+    needs = [Need("a", "x", 10, 2, 60.0, 10**9, 1e9), Need("a", "y", 5, 1, None, 10**9, None, ("not timed: because",))]
+    total = planning.table(needs)[-1].split()
+    assert total == ["total", "15", "3", "over", "1", "min", "0", "s", "2.0", "GB", "1.0", "GB"]
+    assert "?" in planning.table(needs)[2]
+    assert planning.table(needs)[2].endswith("not timed: because")
+
+
+# -- trials ---------------------------------------------------------------------------------------------------------
+
+
+def entry_of(builder=None, **changes):
+    content = tiny_manifest()["methods"]["hog"] | ({"builder": f"{__name__}:{builder}"} if builder else {}) | changes
+    return manifest.MethodEntry.model_validate(content)
+
+
+def test_a_trial_measures_model_reading_and_memory():
+    trial = timing.time_method("hog", entry_of(), (48, 64), CPU)
+    assert 0 < trial.forward < 5
+    assert 0 < trial.reading < 5
+    assert 5e7 < trial.reader_memory <= trial.memory < 5e9
+    assert trial.note == "a batch of 5"
+
+
+def test_the_memory_of_a_trial_is_that_of_the_model():
+    """600 MB that the model holds are in its peak, and gone when the trial is over."""
+    small = timing.time_method("own", entry_of("light"), (48, 64), CPU)
+    large = timing.time_method("own", entry_of("heavy"), (48, 64), CPU)
+    assert 5e8 < large.memory - small.memory < 9e8
+    assert multiprocessing.active_children() == []
+
+
+def light(numbers=1000):
+    held = torch.ones(numbers)
+    return lambda images: torch.nn.functional.normalize(images.flatten(1)[:, :108] + held[0], dim=-1)
+
+
+def heavy():
+    return light(150_000_000)
+
+
+def test_a_trial_that_cannot_end_well_says_why(monkeypatch):
+    trial = timing.time_method("own", entry_of("broken"), (48, 64), CPU)
+    assert (trial.forward, trial.note) == (None, "not timed: no such kernel")
+    begun = time.monotonic()
+    trial = timing.time_method("own", entry_of("endless"), (48, 64), CPU, limit=3)
+    assert (trial.forward, trial.note) == (None, "not timed: no image within 3 s")
+    assert time.monotonic() - begun < 20
+    trial = timing.time_method("own", entry_of("killed"), (48, 64), CPU)
+    assert (trial.forward, trial.note) == (None, "not timed: the process ended (-9), memory may be short")
+    monkeypatch.setattr(timing, "available_memory", lambda: 5e9)
+    paper = manifest.load(REPOSITORY / "data_manifest.yaml").method("anyloc")
+    trial = timing.time_method("anyloc", paper, (480, 640), CPU)
+    assert trial.forward is None
+    assert trial.note.startswith("not timed: it needs at least 5.")
+    assert trial.note.endswith("GB of memory, 5.0 GB are free")
+
+
+def broken():
+    raise RuntimeError("no such kernel\nand a stack of C++ frames")
+
+
+def endless():
+    time.sleep(600)
+
+
+def killed():
+    import os
+
+    os.kill(os.getpid(), 9)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device; this machine has none")
+def test_a_trial_on_cuda_measures_the_memory_of_the_device():
+    trial = timing.time_method("hog", entry_of(), (48, 64), torch.device("cuda"))
+    assert trial.forward is not None
+    assert 0 < trial.memory < 1e9
+
+
+def test_make_passes_the_options_on():
+    command = ["make", "--dry-run", "--always-make", "extract", "PROFILE=paper"]
+
+    def asked(*more):
+        done = subprocess.run([*command, *more], cwd=REPOSITORY, capture_output=True, text=True, check=True)
+        return done.stdout.replace("\\\n", " ").split("-m artifact")[-1].split()
+
+    assert asked() == ["extract", "--profile", "paper"]
+    assert asked("DRY_RUN=1") == ["extract", "--profile", "paper", "--dry-run"]
+    assert asked("DRY_RUN=0") == ["extract", "--profile", "paper"]
+    assert asked("DEVICES=cuda:0,cuda:1", "PRECISION=bfloat16") == [
+        "extract", "--profile", "paper", "--devices", "cuda:0,cuda:1", "--precision", "bfloat16",
+    ]  # fmt: skip
+
+
+def test_devices_and_precision_reach_extraction(project):
+    content = tiny_manifest()
+    content["profiles"]["demo"]["methods"] = ["hog"]
+    write_manifest(project, content)
+    command = [sys.executable, "-m", "artifact", "extract", "--devices", "cpu,cpu", "--precision", "bfloat16"]
+    done = subprocess.run(command, cwd=project, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    loaded = manifest.load(project / "data_manifest.yaml")
+    for part in (Part("day", 12, "here"), Part("night", 12, "here")):
+        assert planning.is_stored(loaded, "hog", "street", part, "bfloat16")
+        assert not planning.is_stored(loaded, "hog", "street", part, "float32")
+    command[-2:] = ["--devices", "cuda:77"]
+    done = subprocess.run(command, cwd=project, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: device 'cuda:77': not on this machine")
