@@ -35,7 +35,8 @@ study = studies.distractor_condition(page.manifest, chosen, page.methods, k=k, s
 conditions = page.conditions(chosen)
 
 # %% tags=["remove-input"]
-display(report.finding(findings.own_condition_hurts_most(study.table, page.method_titles, *conditions, k)))
+claims = [findings.own_condition_hurts_most, findings.database_condition_hurts_little]
+display(report.finding(*(claim(study.table, page.method_titles, *conditions, k) for claim in claims)))
 display(report.label(page.only(chosen).label))
 figures.condition(study.table, page.method_titles, query_condition=conditions[0], k=k)
 

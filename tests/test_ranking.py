@@ -97,7 +97,7 @@ def test_counts_equal_a_literal_sort_of_the_augmented_database(block, side, monk
 def test_the_engine_of_other_devices_equals_the_literal_sort(side, monkeypatch):
     from artifact.engine_torch import TorchEngine
 
-    monkeypatch.setattr(ranking, "engine_for", lambda device: TorchEngine(device))
+    monkeypatch.setattr(ranking, "engine_for", TorchEngine)
     with_tiles_of(monkeypatch, side)
     import torch
 

@@ -39,7 +39,7 @@ def test_the_interval_holds_the_value_and_orders_its_ends():
 
 
 def test_blocks_widen_the_interval_of_correlated_hits():
-    result, good = runs(600, 30)
+    _result, good = runs(600, 30)
     blocks = np.ptp(np.quantile(good[resamples(600, 30, 2000, 0)].mean(axis=1), [0.025, 0.975]))
     single = np.ptp(np.quantile(good[resamples(600, 1, 2000, 0)].mean(axis=1), [0.025, 0.975]))
     assert blocks > 3 * single

@@ -6,6 +6,7 @@ Both engines offer the same five operations on blocks of rows and columns; the s
 
 from __future__ import annotations
 
+import itertools
 import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
@@ -94,7 +95,7 @@ class CpuEngine:
         edges = np.linspace(0, n_rows, self._workers + 1).astype(int)
         jobs = [
             self._pool.submit(count, slice(start, stop), correction[start:stop], start)
-            for start, stop in zip(edges[:-1], edges[1:], strict=True)
+            for start, stop in itertools.pairwise(edges)
             if stop > start
         ]
         for job in jobs:

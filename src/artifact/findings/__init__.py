@@ -7,6 +7,7 @@ it never reproduces the paper's numbers.
 from artifact.findings.collected import DISTANCES, FRACTIONS, RATIOS, Collected, collect
 from artifact.findings.finding import CLEARLY_PP, PAGES, SIMILAR_PP, Finding
 from artifact.findings.retrieval import (
+    database_condition_hurts_little,
     distractors_lower_recall,
     few_distractors_suffice,
     near_distractors_hurt_most,
@@ -36,6 +37,7 @@ __all__ = [
     "Finding",
     "a_tenth_suffices",
     "collect",
+    "database_condition_hurts_little",
     "distractors_lower_recall",
     "few_distractors_suffice",
     "few_images_lower_recall",

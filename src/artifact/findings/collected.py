@@ -79,7 +79,10 @@ def _distractors(
         condition = studies.distractor_condition(manifest, several, methods, seed=seed)
         entry = entries[several]
         conditions = [entry.traversals[name].condition for name in (entry.query, entry.database)]
-        found.append(retrieval.own_condition_hurts_most(condition.table, titles, *conditions))
+        found += [
+            retrieval.own_condition_hurts_most(condition.table, titles, *conditions),
+            retrieval.database_condition_hurts_little(condition.table, titles, *conditions),
+        ]
         used.append(condition)
     return found, used
 

@@ -37,6 +37,8 @@ class Finding:
         The claim, in one line.
     paper
         The paper's evidence, in one line.
+    rule
+        When the two agree; ours, since the paper states its claims in words.
     found
         What this run measured.
     agrees
@@ -46,5 +48,6 @@ class Finding:
     page: str
     claim: str
     paper: str
+    rule: str
     found: str
     agrees: bool | None

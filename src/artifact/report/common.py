@@ -22,8 +22,9 @@ def finding(*findings: Finding) -> HTML:
 
 def _one_finding(item: Finding) -> str:
     rows = {
-        "Claim": item.claim,
-        "Paper": item.paper,
+        "Claim": html.escape(item.claim),
+        "Paper": html.escape(item.paper),
+        "Agrees if": html.escape(item.rule),
         "This run": f"{html.escape(item.found)} {_agreement(item.agrees)}",
     }
     listed = "".join(
