@@ -43,7 +43,7 @@ summary = studies.summary(study.table, ["suppression"])
 display(report.finding(findings.one_transform_for_all(summary)))
 display(report.label(page.label))
 display(report.equivalence_table(summary, {"suppression": "Method"}, k=k))
-report.fitting_order(order, page.dataset_titles)
+report.fitting_order(order, page.dataset_titles, study.table)
 
 # %% [markdown]
 # ## The paper's Table IV

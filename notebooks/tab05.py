@@ -45,7 +45,7 @@ summary = studies.summary(study.table, ["suppression", "pair"])
 display(report.finding(findings.irrelevant_conditions_unharmed(summary)))
 display(report.label(page.label))
 display(report.equivalence_table(summary, {"suppression": "Method", "pair": "Condition pair"}, k=k))
-report.fitting_order(order, page.dataset_titles)
+report.fitting_order(order, page.dataset_titles, study.table)
 
 # %% [markdown]
 # ## The paper's Table V

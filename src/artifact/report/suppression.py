@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -174,9 +175,24 @@ def reported_equivalence_table(name: str) -> HTML:
     return table(shown, numeric=list(shown.columns[len(by) :]), caption=caption)
 
 
-def fitting_order(order: Sequence[str], titles: Mapping[str, str]) -> HTML:
-    """Say in which order the transforms were fitted, and what a percentage point is worth on data this small."""
-    return HTML(f'<p class="origin">Fitted in this order: {" → ".join(titles[name] for name in order)}.</p>')
+def fitting_order(order: Sequence[str], titles: Mapping[str, str], frame: pd.DataFrame) -> HTML:
+    """Say in which order the transforms were fitted, and what a percentage point is worth on data of this size.
+
+    Parameters
+    ----------
+    order
+        Datasets in the order of fitting.
+    titles
+        Dataset name to printed title.
+    frame
+        The study's table, with ``queries``.
+    """
+    fewest, most = frame["queries"].min(), frame["queries"].max()
+    listed = html.escape(" → ".join(titles[name] for name in order))
+    return HTML(
+        f'<p class="origin">Fitted in this order: {listed}. With {fewest} to {most} queries evaluated, 1 pp is '
+        f"{fewest / 100:.1f} to {most / 100:.1f} queries.</p>"
+    )
 
 
 def single_multi_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> HTML:

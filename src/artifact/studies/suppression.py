@@ -213,6 +213,7 @@ def single_against_multi(
                 }
                 for view in views:
                     row |= {f"{view}_R": PERCENT * found[view].recall(k), f"{view}_DAR": PERCENT * found[view].dar(k)}
+                row["queries"] = found["single"].n_queries
                 row |= {
                     f"difference_{metric}": row[f"single_{metric}"] - row[f"multi_{metric}"] for metric in ("R", "DAR")
                 }
@@ -266,6 +267,7 @@ def irrelevant_conditions(
                         "dataset": name,
                         "title": entry.title,
                         "method": method,
+                        "queries": before.n_queries,
                     }
                     row |= {"original_R": PERCENT * before.recall(k), "original_DAR": PERCENT * before.dar(k)}
                     row |= {"erased_R": PERCENT * after.recall(k), "erased_DAR": PERCENT * after.dar(k)}
