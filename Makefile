@@ -32,7 +32,7 @@ test: $(VENV)/.ready ## run all tests
 book: $(VENV)/.ready ## build the book from the executed notebooks, running none
 	@$(RUN) book
 
-data: $(VENV)/.ready ## make the datasets of a profile ready, say which are missing and how to obtain them
+data: $(VENV)/.ready ## make datasets and weights of a profile ready, say which are missing and how to obtain them
 	@$(RUN) data --profile $(PROFILE)
 
 extract: $(VENV)/.ready ## extract the descriptors of a profile; with DRY_RUN=1 say what that takes

@@ -45,7 +45,7 @@ display(report.headline(collected.recall, page.method_titles))
 # %% [markdown]
 # ## What was claimed, what was measured, and whether they agree
 
-# %% tags=["remove-input"]
+# %% tags=["remove-input", "full-width"]
 report.findings_table(collected.findings)
 
 # %% [markdown]
@@ -55,8 +55,13 @@ report.findings_table(collected.findings)
 #
 # ## How to read on
 #
+# - [Fig. 1](fig01.ipynb) shows what a distractor is, [Fig. 2](fig02.ipynb) what a few of them do to a map.
 # - [Table III](tab03.ipynb) is the main result, [Figs. 5](fig05.ipynb), [6](fig06.ipynb) and [7](fig07.ipynb) take it
 #   apart; [Fig. 4](fig04.ipynb) has the definitions.
+# - [Fig. 8](fig08.ipynb) is the main result on suppression, [Fig. 9](fig09.ipynb) shows it on a mixed database,
+#   [Table IV](tab04.ipynb), [Table V](tab05.ipynb) and [Fig. 10](fig10.ipynb) ask how far it carries.
+# - [Within one session](within_session.ipynb) and [What is erased](erased.ipynb) go beyond the paper.
+# - [Methods](methods.ipynb) says which of the paper's eleven methods are here and how they are held to their authors' models.
 # - [The City](city.ipynb) is the rendered town that lets all of this run on any machine with no download.
 # - [Protocol](protocol.ipynb) lists every choice that the paper leaves open, with our default and what it changes.
 # - [A new dataset or method](../new.md) shows how to put your own images in, and [Status](status.md) says what ran, when and

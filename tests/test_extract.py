@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import torch
 from conftest import HOG, THUMBNAIL, tiny_manifest, write_images, write_manifest
 from torch import nn
 
-from artifact import datasets, extract, forward, manifest, methods, reading, shards, store
+from artifact import bench, datasets, extract, forward, manifest, methods, reading, shards, store
 from artifact.extract import ExtractionError
 
 WORKERS = pytest.mark.parametrize("workers", [0, 2])
@@ -375,6 +376,7 @@ def processes_with(mark):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="looks for processes in /proc, which is not here")
 def test_nothing_outlives_a_killed_run(project):
     write_images(project / "data" / "street" / "day", 120, seed=5)
@@ -579,6 +581,18 @@ def test_batches_are_read_in_order_whatever_the_workers(project):
     for workers in (1, 3):
         together = [images for images, _ in reading.read_batches(batches, how, workers)]
         np.testing.assert_array_equal(np.stack(together), np.stack(alone))
+
+
+def test_the_bench_compares_extraction_with_the_model(project):
+    loaded, _ = load(project)
+    (line,) = bench.extraction_lines(loaded, "hog", 4, device="cpu")
+    found = re.match(
+        r"extraction of 20 images with HOG on cpu: ([\d.]+) images/s, the model alone ([\d.]+) images/s, (\d+) %; "
+        r"to read an image takes a core ([\d.]+) ms, which alone leaves the model (\d+) % of \d+ busy cores$", line,
+    )  # fmt: skip
+    rate, alone, percentage = (float(found[group]) for group in (1, 2, 3))
+    assert abs(100 * rate / alone - percentage) < 1
+    assert 0 < float(found[5]) < 100
 
 
 def test_the_second_output_comes_with_its_rows(project):

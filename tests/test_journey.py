@@ -248,6 +248,42 @@ def test_a_folder_of_ones_own_is_one_parameter_away(tiny, tmp_path):
     assert "expected one folder named queries or query, found 0" in output
 
 
+MEAN_COLOUR = """import torch
+def build():
+    return lambda images: torch.nn.functional.normalize(images.mean((2, 3)), dim=-1)
+"""
+
+
+def test_a_method_from_outside_is_three_lines_and_an_entry_away(tiny):
+    project, _ = tiny
+    path = project / "data_manifest.yaml"
+    before = path.read_text()
+    kept = {path: path.read_bytes() for path in (project / "book" / "executed").glob("*.ipynb")}
+    content = yaml.safe_load(before)
+    content["methods"]["my_method"] = {
+        "title": "Mean colour", "kind": "baseline", "backbone": "none", "aggregation": "mean", "dimension": 3,
+        "builder": "my_method:build", "preprocessing": {"resize": "fixed", "size": [32, 32]},
+    }  # fmt: skip
+    (project / "my_method.py").write_text(MEAN_COLOUR)
+    write_manifest(project, content)
+    asked = ("run", "--only", "tab03", "-p", 'methods=["my_method","hog"]')
+    try:
+        assert artifact(project, *asked)[0] == 0
+        assert "Mean colour" in nbformat.writes(executed(project)["tab03"])
+        assert counts(artifact(project, *asked)[1]) == (0, 1)
+        (project / "my_method.py").write_text(MEAN_COLOUR.replace("mean((2, 3))", "amax((2, 3))"))
+        assert counts(artifact(project, *asked)[1]) == (1, 0)
+        (project / "my_method.py").unlink()
+        status, output = artifact(project, *asked)
+        assert status == 1
+        assert "my_method:build" in output
+    finally:
+        path.write_text(before)
+        (project / "my_method.py").unlink(missing_ok=True)
+        for page, stored in kept.items():
+            page.write_bytes(stored)
+
+
 def test_commands_for_the_shell(tiny):
     project, _ = tiny
     for command in ("reproduce", "data", "extract", "evaluate", "verify", "bench", "status", "run", "book"):

@@ -558,3 +558,18 @@ def test_multi_scale_adapter_follows_the_grid_and_doubles_the_token():
     mirrored = torch.cat((x[:, :1], x[:, 1:].unflatten(1, (3, 5)).transpose(1, 2).flatten(1, 2)), dim=1)
     again = adapter(mirrored, (5, 3))[:, 1:].unflatten(1, (5, 3)).transpose(1, 2).flatten(1, 2)
     torch.testing.assert_close(again, found[:, 1:])
+
+
+# --- the record that the book shows ---
+
+
+def test_the_recorded_parity_covers_every_method_and_holds_its_limits():
+    from artifact.methods.parity import recorded
+
+    table = recorded()
+    assert set(table["method"]) == set(METHODS)
+    assert (table["max_abs"] <= table["limit_abs"]).all()
+    assert (table["max_l2"] <= table["limit_l2"].fillna(np.inf)).all()
+    described = table[table["output"].str.startswith("descriptors")]
+    assert set(described["method"]) == set(METHODS)
+    assert (described["limit_abs"] == 1e-6).all()

@@ -256,6 +256,7 @@ def test_make_passes_the_options_on():
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_devices_and_precision_reach_extraction(project):
     content = tiny_manifest()
     content["profiles"]["demo"]["methods"] = ["hog"]

@@ -35,7 +35,8 @@ from artifact.manifest import ManifestError
 from artifact.matching import LocalMatcher
 from artifact.methods.preprocessing import prepare
 from artifact.metrics import evaluate
-from artifact.rerank import Sweep, TwoStageEvaluation, evaluate_two_stage
+from artifact.rerank import TwoStageEvaluation, evaluate_two_stage
+from artifact.rerank_sweeps import Sweep
 from artifact.statistics import intervals
 
 

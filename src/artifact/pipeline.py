@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from artifact import datasets, extract, matching, ranking, rerank, store
+from artifact import datasets, extract, matching, ranking, rerank, rerank_sweeps, store
 from artifact.archive import stored
 from artifact.candidates import Images
 from artifact.datasets import Dataset
@@ -227,15 +227,17 @@ def _two_stage(
         ).arrays()  # fmt: skip
 
     @functools.cache
-    def sweep_of(name: str) -> rerank.Sweep:
+    def sweep_of(name: str) -> rerank_sweeps.Sweep:
         def compute_sweep() -> dict[str, np.ndarray]:
-            return rerank.sweep(
+            return rerank_sweeps.sweep(
                 images(loaded.query_name), images(loaded.database_name), loaded.threshold, scores, pool(name),
                 candidates=entry.rerank, draws=draws, seed=seed,
             ).arrays()  # fmt: skip
 
         key = store.key(stage="two-stage sweep", pool=name, draws=draws, **shared)
-        return rerank.Sweep.from_arrays(stored(manifest, key, compute_sweep, {**record, "stage": "two-stage sweep"}))
+        return rerank_sweeps.Sweep.from_arrays(
+            stored(manifest, key, compute_sweep, {**record, "stage": "two-stage sweep"})
+        )
 
     key = store.key(stage="two-stage ranking", retrieve=retrieve, **shared)
     arrays = stored(manifest, key, compute, {**record, "stage": "two-stage ranking"})

@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from artifact import datasets, extract, local_features, reading, store, timing, weights
 from artifact.datasets import folder, shipped
-from artifact.datasets.rendered import is_rendered
+from artifact.datasets.rendered import is_rendered, rendered
 from artifact.datasets.traversal import Traversal
 from artifact.manifest import DatasetEntry, Manifest, MethodEntry
 
@@ -131,12 +131,13 @@ def known_parts(manifest: Manifest, dataset: str) -> list[Part]:
 
 def _part(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Part:
     traversal = entry.traversals[name]
-    if entry.kind == "city":
-        render = traversal.render or {}
-        cache = store.cache_folder(manifest.path.parent)
-        state = "here" if is_rendered(render, cache, f"{dataset}/{name}") else "not rendered yet"
-        return Part(name, int(render["frames"]) if "frames" in render else None, state)
     images = manifest.data_root / (entry.root or dataset) / (traversal.images or name)
+    if entry.kind == "city":
+        render, label = traversal.render or {}, f"{dataset}/{name}"
+        cache = store.cache_folder(manifest.path.parent)
+        if not is_rendered(render, cache, label):
+            return Part(name, render.get("frames"), "not rendered yet")
+        images = rendered(render, cache, label, progress=False)
     if images.is_dir():
         names = _image_names(manifest, dataset, entry, name, images)
         with Image.open(images / names[0]) as first:
@@ -166,20 +167,21 @@ def _image_names(manifest: Manifest, dataset: str, entry: DatasetEntry, name: st
 def is_stored(manifest: Manifest, method: str, dataset: str, part: Part, precision: str) -> bool:
     """Whether descriptors of the traversal are stored or shipped, judged by their sidecars: no image is read.
 
-    A sidecar counts if it is of this method as the manifest has it now, and of as many images of this name. Images that
-    changed since, and not in number, are noticed only by the extraction itself.
+    A sidecar counts if it is of this method as the manifest has it now, and of as many images of this traversal, maybe
+    as part of another dataset. Images that changed since, and not in number, are noticed only by the extraction itself.
     """
     entry = manifest.method(method)
     if part.state == "not there yet":
         listed = shipped.traversal(datasets.entry_of(manifest, dataset).root or dataset, part.name)
         if listed is not None and shipped.descriptors(_key(dataset, part.name, listed[1], method, entry, precision)):
             return True
+    folders = {name: other.root or name for name, other in manifest.datasets.items()}
+    same = [name for name in folders if folders[name] == folders.get(dataset)] or [dataset]
     for path in extract.stored_path(manifest, method, "").parent.glob("*.json"):
         record = store.read_json(path)
-        found = [record.get(key) for key in ("dataset", "traversal", "shape")]
-        if found == [dataset, part.name, [part.images, entry.dimension]]:
+        if record.get("dataset") in same and record["traversal"] == part.name:
             key = _key(dataset, part.name, record["images"], method, entry, precision)
-            if record["key"] == key:
+            if (record["shape"], record["key"]) == ([part.images, entry.dimension], key):
                 return True
     return False
 

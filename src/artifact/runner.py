@@ -189,6 +189,9 @@ def run(
     """
     # A kernel of another environment must not be picked up from the user's Jupyter settings.
     os.environ |= {"JUPYTER_PREFER_ENV_PATH": "1", "JUPYTER_PATH": ""}
+    # Methods from outside stand beside the manifest; a kernel starts in the folder of the notebooks.
+    paths = [str(manifest.path.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    os.environ["PYTHONPATH"] = os.pathsep.join(paths)
     shared = _shared_inputs(manifest)
     fingerprints = {name: _fingerprint(manifest, name) for name in dict.fromkeys(n for t in tasks for n in t.datasets)}
     jobs = jobs or min(8, os.cpu_count() or 1)
@@ -295,6 +298,7 @@ def _shared_inputs(manifest: Manifest) -> dict[str, Any]:
     return {
         "sources": sources,
         "manifest": store.digest_of_file(manifest.path),
+        "weights": {name: weights.state(name, entry).summary for name, entry in manifest.methods.items()},
         "versions": {name: version(name) for name in _RUN_WITH},
     }
 

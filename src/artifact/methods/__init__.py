@@ -8,12 +8,13 @@ and :func:`model_of` the model with its released weights.
 from __future__ import annotations
 
 import importlib
+import importlib.util
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from artifact import manifest as manifests
-from artifact import weights
+from artifact import store, weights
 from artifact.manifest import Manifest, ManifestError, MethodEntry, WeightsFile
 from artifact.weights import WeightsError
 
@@ -196,7 +197,7 @@ def fingerprint(name: str, entry: MethodEntry) -> dict[str, Any]:
     """Return all that a method's descriptors depend on besides the images; part of their content key."""
     inputs: dict[str, Any] = {"name": name, "preprocessing": entry.preprocessing.model_dump()}
     if entry.builder is not None:
-        inputs["builder"] = entry.builder
+        inputs["builder"], inputs["source"] = entry.builder, _source_digest(entry.builder)
     else:
         inputs["revision"] = _BUILDERS[name][1] if name in _BUILDERS else 0
     if entry.weights is not None:
@@ -204,6 +205,17 @@ def fingerprint(name: str, entry: MethodEntry) -> dict[str, Any]:
     if entry.batch_dependent:
         inputs["batch_size"] = entry.batch_size
     return inputs
+
+
+def _source_digest(builder: str) -> str | None:
+    """Digest of the file that holds a builder, so that a changed method is described anew."""
+    try:
+        spec = importlib.util.find_spec(builder.partition(":")[0])
+    except (ImportError, ValueError):
+        return None
+    if spec is None or spec.origin is None or not Path(spec.origin).is_file():
+        return None
+    return store.digest_of_file(Path(spec.origin))
 
 
 def _function(path: str) -> Callable[..., Any]:

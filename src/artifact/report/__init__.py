@@ -5,6 +5,7 @@ is fetched: downloads are embedded in the page.
 """
 
 from artifact.report.common import download, finding, findings_table, interval, label, marks, number, table
+from artifact.report.methods import catalogue_table, how_to_get, parity_table
 from artifact.report.record import code_revision, provenance
 from artifact.report.retrieval import (
     beside_reported,
@@ -38,6 +39,7 @@ from artifact.report.suppression import (
 
 __all__ = [
     "beside_reported",
+    "catalogue_table",
     "change",
     "code_revision",
     "datasets_table",
@@ -49,6 +51,7 @@ __all__ = [
     "findings_table",
     "fitting_order",
     "headline",
+    "how_to_get",
     "improved_table",
     "interval",
     "irrelevant_table",
@@ -57,6 +60,7 @@ __all__ = [
     "methods_table",
     "mixed_table",
     "number",
+    "parity_table",
     "protocol_table",
     "provenance",
     "recall_table",

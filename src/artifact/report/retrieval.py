@@ -10,7 +10,7 @@ import pandas as pd
 from IPython.display import HTML
 
 from artifact import paper
-from artifact.manifest import Manifest
+from artifact.manifest import Manifest, MethodEntry
 from artifact.notebook import Page
 from artifact.protocol import Decision
 from artifact.report.common import interval, marks, number, table
@@ -222,11 +222,22 @@ def reported_methods_table(manifest: Manifest) -> HTML:
             "Re-rank": frame["rerank"],
             "Input (ours)": [input_in_words(e.preprocessing) if e else "–" for e in entries],
             "Batch (ours)": [f"{e.batch_size}{' ‡' if e.batch_dependent else ''}" if e else "–" for e in entries],
-            "Licence": [e.licence if e else "–" for e in entries],
+            "Code": [e.licence if e else "–" for e in entries],
+            "Weights": [_weights_terms(e) for e in entries],
         }
     )
-    note = "Reported by the paper; the last three columns are this artifact's. ‡ descriptors depend on the batch."
+    note = (
+        "Reported by the paper; the last four columns are this artifact's: input, batch, licence of the code, licence and terms "
+        "of the weights. ‡ descriptors depend on the batch."
+    )
     return table(shown, numeric=["Dim", "Batch (ours)"], caption=note)
+
+
+def _weights_terms(entry: MethodEntry | None) -> str:
+    """Licence of a method's weights, and what their owners ask."""
+    if entry is None or entry.weights is None:
+        return "–"
+    return f"{entry.weights.licence}; {entry.weights.terms}" if entry.weights.terms else entry.weights.licence
 
 
 def beside_reported(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> HTML:

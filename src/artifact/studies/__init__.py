@@ -4,6 +4,7 @@ Shares are in percent here, as the paper prints them. Every row says what it is 
 record of its inputs.
 """
 
+from artifact.studies.catalogue import methods_of_the_paper, parity_table
 from artifact.studies.common import METRICS, PERCENT, Study, origin
 from artifact.studies.erased import KINDS, Erased, what_is_erased
 from artifact.studies.maps import (
@@ -57,6 +58,7 @@ __all__ = [
     "input_in_words",
     "irrelevant_conditions",
     "mean_by_fraction",
+    "methods_of_the_paper",
     "methods_table",
     "mixed_database",
     "mixed_database_suppressed",
@@ -64,6 +66,7 @@ __all__ = [
     "nearest_share",
     "order_of_fitting",
     "origin",
+    "parity_table",
     "recall_table",
     "single_against_multi",
     "summary",
