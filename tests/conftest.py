@@ -2,6 +2,9 @@
 
 import copy
 import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -86,3 +89,48 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if "data" in item.keywords and real_data_root() is None:
             item.add_marker(skip)
+
+
+DRIVE = {
+    "title": "Drive", "kind": "folder", "threshold": {"value": 25, "unit": "metres"}, "query": "day", "database": "night",
+    "shift": "day→night", "distractor_traversals": ["dusk", "night_2"], "same_condition_traversal": "dusk",
+    "irrelevant_pairs": [["day", "dusk"]],
+    "traversals": {
+        "day": {"condition": "day"}, "night": {"condition": "night"}, "dusk": {"condition": "dusk"}, "night_2": {"condition": "night"},
+    },
+}  # fmt: skip
+STREET = {
+    "title": "Street", "kind": "folder", "threshold": {"value": 1, "unit": "frames"}, "query": "day", "database": "night",
+    "traversals": {"day": {"condition": "day"}, "night": {"condition": "night"}},
+}  # fmt: skip
+
+
+def artifact(project, *arguments):
+    """Run the command line in the project; returns status and output."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("ARTIFACT_")}
+    command = [sys.executable, "-m", "artifact", *arguments]
+    done = subprocess.run(
+        command, cwd=project, env=environment, capture_output=True, text=True, check=False, timeout=600
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.fixture(scope="session")
+def tiny(tmp_path_factory):
+    """A project folder in which `reproduce` has run once; with what it printed."""
+    project = tmp_path_factory.mktemp("tiny")
+    for part in ("notebooks", "book"):
+        shutil.copytree(
+            REPOSITORY / part, project / part, ignore=shutil.ignore_patterns("_build", "executed", "__pycache__")
+        )
+    for name, brightness in (("day", 0), ("night", -70), ("dusk", -20), ("night_2", -71)):
+        folder = project / "data" / "drive" / name
+        write_images(folder, 40, seed=4, brightness=brightness, noise=25)
+        rows = [f"frame{i}.png,{12.0 * i + abs(brightness) / 20:.1f},0" for i in range(40)]
+        (folder / "positions.csv").write_text("\n".join(["image,x,y", *rows]) + "\n")
+    for name, brightness in (("day", 0), ("night", -60)):
+        write_images(project / "data" / "street" / name, 30, seed=6, brightness=brightness, noise=25)
+    write_manifest(project, tiny_manifest(drive=DRIVE, street=STREET))
+    status, output = artifact(project, "reproduce", "--jobs", "2")
+    assert status == 0, output
+    return project, output

@@ -5,7 +5,6 @@ import shutil
 import pytest
 import yaml
 from conftest import REPOSITORY
-from test_journey import tiny  # noqa: F401  (the tiny project of the journey, built once)
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = [
@@ -32,7 +31,7 @@ def browser():
 
 
 @pytest.fixture(scope="module")
-def pages(tiny):  # noqa: F811
+def pages(tiny):
     project, _ = tiny
     toc = yaml.safe_load((REPOSITORY / "book" / "_toc.yml").read_text())
     names = [toc["root"], *(chapter["file"] for part in toc["parts"] for chapter in part["chapters"])]
@@ -82,6 +81,9 @@ def test_the_first_page_opens_from_the_index(browser, pages):
 @pytest.mark.parametrize(
     ("name", "tables", "images"),
     [
+        ("fig01", 0, 2),
+        ("fig02", 2, 1),
+        ("fig03", 0, 1),
         ("tab01", 2, 0),
         ("tab02", 2, 0),
         ("tab03", 3, 0),
@@ -89,6 +91,14 @@ def test_the_first_page_opens_from_the_index(browser, pages):
         ("fig05", 0, 2),
         ("fig06", 0, 2),
         ("fig07", 0, 2),
+        ("fig08", 2, 1),
+        ("fig09", 2, 1),
+        ("tab04", 3, 0),
+        ("tab05", 3, 0),
+        ("fig10", 0, 2),
+        ("within_session", 1, 2),
+        ("erased", 1, 2),
+        ("methods", 1, 0),
         ("protocol", 2, 0),
     ],
 )

@@ -370,7 +370,7 @@ def test_both_traversals_of_a_pair_see_the_same_buildings(pair):
     heading = [np.array([p.heading for p in traversal.poses(t)[0]]) for t in (queries, database)]
     where = city.positions(queries), city.positions(database)
     near, far = [], []
-    for i in np.linspace(0, queries.frames - 1, 6).astype(int):
+    for i in np.linspace(0, queries.frames - 1, 5).astype(int):
         distance = np.linalg.norm(where[1] - where[0][i], axis=1)
         turn = np.abs(np.angle(np.exp(1j * (heading[1] - heading[0][i]))))
         j = best_view(distance, turn, entry.threshold.value)
@@ -380,7 +380,7 @@ def test_both_traversals_of_a_pair_see_the_same_buildings(pair):
         if len(seen[0]) > 2:  # along the railway there are places without buildings
             near.append(shared(seen[0], seen[1]))
             far.append(shared(seen[0], seen[2]))
-    assert len(near) > 3
+    assert len(near) > 2
     assert min(near) > 0.5
     assert np.mean(near) > 0.8
     assert np.mean(far) < 0.3

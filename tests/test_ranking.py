@@ -78,7 +78,7 @@ def check_against_oracle(case, device):
         expected = [share(ranks(case, beyond=limit), k) for limit in limits]
         np.testing.assert_allclose(result.dar_by_distance(limits, k), expected)
         ratios = [0.0, 0.3, 0.5, 1.0]
-        orders = ranking._draw_orders(result.n_distractors, ranking.Options(draws=2))
+        orders = ranking.draw_orders(result.n_distractors, ranking.Options(draws=2))
         for draw, row in zip(orders.T, result.dar_by_ratio_draws(ratios, k), strict=True):
             for ratio, value in zip(ratios, row, strict=True):
                 members = set(np.flatnonzero(draw < round(ratio * result.n_distractors)).tolist())

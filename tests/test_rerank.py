@@ -196,7 +196,7 @@ def check_against_definition(case, n):
     limits = [case.threshold, case.threshold + 3, case.threshold + 5, case.threshold + 12, np.inf]
     by_limit = [definition.ranks(n, beyond=limit) for limit in limits]
     sizes = range(result.n_distractors + 1)
-    orders = ranking._draw_orders(result.n_distractors, ranking.Options(draws=2))
+    orders = ranking.draw_orders(result.n_distractors, ranking.Options(draws=2))
     by_size = [[definition.ranks(n, members=set(np.flatnonzero(order < size))) for size in sizes] for order in orders.T]
     for k in {1, min(2, n), n}:
         np.testing.assert_array_equal(result.dar_by_distance(limits, k), [share(ranks, k) for ranks in by_limit])
@@ -260,7 +260,7 @@ def test_only_pairs_that_can_be_candidates_are_scored_and_each_once():
         result.dar_by_ratio([0.5])
         assert len(table.asked) == len(set(table.asked)), "sweeps are computed once and kept"
         for row in rows:
-            for order in ranking._draw_orders(len(case.pool), ranking.Options(draws=2)).T:
+            for order in ranking.draw_orders(len(case.pool), ranking.Options(draws=2)).T:
                 for size in range(len(case.pool) + 1):
                     add(row, members=set(np.flatnonzero(order < size)))
             for entry in definition.entries[row]:
@@ -547,6 +547,21 @@ def test_both_outputs_come_from_one_pass_and_are_stored_in_files(project, small_
     assert packed.shape == (12, 2)
     lines, _ = verification.verify(found, "demo")
     assert lines[0].endswith(".cache: 9 stored results, 0 damaged"), "each file's sidecar tells its digest"
+
+
+def test_several_devices_write_the_same_files(project, small_files):
+    """Three batches shared out over two processes, whose rows meet within a file."""
+    found, traversal = loaded(project)
+    alone = extract.second_stage(found, traversal, "local", workers=0)
+    whole, descriptors = (
+        [path.read_bytes() for path in result_files(alone)],
+        extract.descriptors(found, traversal, "local"),
+    )
+    shutil.rmtree(project / ".cache")
+    shared = extract.second_stage(found, traversal, "local", device="cpu,cpu", workers=0)
+    np.testing.assert_allclose(shared[np.arange(12)], alone[np.arange(12)], atol=1e-6)
+    assert len(whole) == len(shared.maps)
+    np.testing.assert_allclose(extract.descriptors(found, traversal, "local").values, descriptors.values, atol=1e-6)
 
 
 def test_descriptors_alone_do_not_need_the_local_features(project):

@@ -213,7 +213,7 @@ def _fetch_weights(manifest: Any, profile: str) -> int:
 
 
 def _extract(options: argparse.Namespace) -> None:
-    from artifact import extract, planning, runner, shipping
+    from artifact import extract, planning, runner, shipping, weights
 
     manifest = _manifest(options)
     profile = manifest.profile(options.profile)
@@ -225,13 +225,16 @@ def _extract(options: argparse.Namespace) -> None:
         for line in planning.lines(manifest, options.profile, device=options.devices, precision=options.precision):
             sys.stdout.write(f"{line}\n")
         return
-    for name in profile.datasets:
-        for traversal in runner.load_all(manifest, name):
-            for method in profile.methods:
-                found = extract.descriptors(
-                    manifest, traversal, method, device=options.devices, precision=options.precision, progress=True
-                )
-                sys.stdout.write(f"{method} · {name}/{traversal.name}: {found.values.shape} from {found.source}\n")
+    traversals = [traversal for name in profile.datasets for traversal in runner.load_all(manifest, name)]
+    weights.require({name: manifest.method(name) for name in profile.methods})
+    extract.check_disk(manifest, traversals, profile.methods)
+    for traversal in traversals:
+        for method in profile.methods:
+            found = extract.descriptors(
+                manifest, traversal, method, device=options.devices, precision=options.precision, progress=True
+            )
+            label = f"{method} · {traversal.dataset}/{traversal.name}"
+            sys.stdout.write(f"{label}: {found.values.shape} from {found.source}\n")
 
 
 def _evaluate(options: argparse.Namespace) -> None:

@@ -178,7 +178,10 @@ def _say(line: str) -> None:
 
 def _second_key(descriptors_key: str, entry: MethodEntry) -> str:
     layout, revision = local_features.layout_of(entry), local_features.REVISION
-    return store.key(stage="local features", revision=revision, descriptors=descriptors_key, layout=layout)
+    return store.key(
+        stage="local features", revision=revision, descriptors=descriptors_key, layout=layout,
+        images_each=None if layout is None else layout.images_per_file,
+    )  # fmt: skip
 
 
 def _files(
@@ -189,7 +192,7 @@ def _files(
         return None
     key = _second_key(descriptors_key, entry)
     folder = store.cache_folder(manifest.path.parent) / "local_features" / method / key[:24]
-    return local_features.Files(folder, key, len(traversal), layout)
+    return local_features.Files(folder, key, len(traversal), layout, layout.images_per_file)
 
 
 def is_ready(manifest: Manifest, traversal: Traversal, method: str) -> bool:

@@ -58,6 +58,11 @@ class Layout:
         """Bytes of one image."""
         return math.prod(self.shape) * np.dtype(self.dtype).itemsize
 
+    @property
+    def images_per_file(self) -> int:
+        """Images that share a file."""
+        return max(1, min(_FILE_IMAGES, _FILE_BYTES // self.image_bytes))
+
 
 def layout_of(entry: MethodEntry) -> Layout | None:
     """Return what a method's manifest entry says is stored besides descriptors; ``None`` for one-stage methods."""
@@ -183,17 +188,15 @@ class Files:
         Images of the traversal.
     layout
         What is stored per image.
+    images_each
+        Images in each file but the last.
     """
 
     folder: Path
     key: str
     n_images: int
     layout: Layout
-
-    @property
-    def images_each(self) -> int:
-        """Images in each file but the last."""
-        return max(1, min(_FILE_IMAGES, _FILE_BYTES // self.layout.image_bytes))
+    images_each: int
 
     @property
     def rows(self) -> list[slice]:

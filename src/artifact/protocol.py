@@ -45,6 +45,7 @@ DECISIONS = (
     Decision("Normalisation", "not stated", "descriptors have unit length before the fit, and again after suppression, in the similarity"),
     Decision("Input size", "not stated", "the authors' evaluation code of each method; a manifest value for each"),
     Decision("CricaVPR batches", "16 images", "16 in natural file order within a traversal, the last batch smaller; the same descriptors serve as query and as distractor"),
+    Decision("Re-ranking (SelaVPR, SelaVPR++)", "top 100", "the first stage's top 100 of the augmented database are ranked again by the second stage; ties keep the first stage's order, ties at the cut favour the query; DAR may then exceed R and is never clipped; the number sweep is the mean of random draws"),
     Decision("Precision", "not stated", "descriptors float32, distances float64; no TF32; float16 storage is an explicit option"),
     Decision("Intervals", "none", "95 %, circular block bootstrap over consecutive queries, 1,000 resamples"),
 )  # fmt: skip

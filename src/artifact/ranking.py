@@ -245,7 +245,7 @@ class _Pass:
         counts = {view: Counts.empty(n, options.depth, options.draws, options.retrieve) for view in self.transforms}
         for view in self.transforms:
             counts[view].best[:] = best[view]
-        orders = _draw_orders(len(pool), options)
+        orders = draw_orders(len(pool), options)
         copies = 4 if len(self.transforms) > 1 else 2
         step = max(1, min(_TILE_SIDE, math.isqrt(options.memory // (4 * copies))))
         for rows, cols, mirrored in _tiles(n, len(pool), step, symmetric=own):
@@ -326,7 +326,7 @@ def _project(descriptors: np.ndarray, bases: list[np.ndarray]) -> Iterator[np.nd
     yield from np.split(out, edges[:-1], axis=1)
 
 
-def _draw_orders(n: int, options: Options) -> np.ndarray:
+def draw_orders(n: int, options: Options) -> np.ndarray:
     """Return ``(n, draws)`` int32: the place of each pool image in each random order."""
     generator = np.random.default_rng(options.seed)
     orders = np.empty((n, options.draws), np.int32)

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from artifact.candidates import DISTRACTOR, POSITIVE, Images, Problem, Scores, scored_entries
-from artifact.ranking import Options, _draw_orders
+from artifact.ranking import Options, draw_orders
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def sweep(
     check_numbers(candidates, draws)
     problem = Problem.of(queries, database, threshold, candidates)
     pool = problem.queries if pool is None else pool
-    orders = _draw_orders(len(pool), Options(draws=draws, seed=seed)).astype(np.float64)
+    orders = draw_orders(len(pool), Options(draws=draws, seed=seed)).astype(np.float64)
     number, distance = _StepsBuilder(), _StepsBuilder()
     for _, found in scored_entries(problem, {"": pool}, scores, orders):
         kind, second, keys = found[""].kind, found[""].second, found[""].keys

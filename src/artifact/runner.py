@@ -145,6 +145,7 @@ def prepare(manifest: Manifest, tasks: Sequence[Task], *, device: str | None = N
     }
     extracted = {m for d, m in pairs for t in loaded[d] if t.has_images and not extract.is_ready(manifest, t, m)}
     weights.require({method: manifest.method(method) for method in sorted(extracted)})
+    extract.check_disk(manifest, (t for traversals in loaded.values() for t in traversals), sorted(extracted))
     for dataset, method in pairs:
         for traversal in loaded[dataset]:
             extract.descriptors(manifest, traversal, method, device=device, progress=True)

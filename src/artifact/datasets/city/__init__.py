@@ -1,16 +1,33 @@
-"""
-A rendered town, so that a fresh machine runs every study with no download.
+"""A rendered town, so that a fresh machine runs every study with no download.
 
-A town is a plan of streets with houses, trees, lamps and a railway around it (:mod:`town`); a traversal drives or walks
-a route through it under one condition (:mod:`traversal`); an image is ray-cast column by column, painted, lit and
-developed (:mod:`frame`). Everything follows from the fields of :class:`CityTraversal`: the same traversal gives the
-same bytes, in any order and with any number of workers.
+Everything follows from the fields of :class:`CityTraversal`. An image is made in these steps, each from the results of
+the ones before it:
+
+1. *Town* (``town``): a plan of streets and a railway (``streets``), lots with houses (``lots``, ``houses``,
+   ``buildings``), the country around them (``country``), trees, lamps and furniture (``furnish``, ``trees``, and the
+   models of ``vehicles``, ``house_parts``, ``street_furniture``, ``lineside``, built of ``polyhedra``); then grids that
+   tell compiled code what is near a point (``grids``).
+2. *Pose* (``traversal``): a route (``routes``), the deviations of a real drive, a camera (``view``), and the cars and
+   people met (``traffic``).
+3. *Trace* (``trace``, ``raster``): for each of four samples per pixel, which surface it sees and how far away.
+   Buildings are prisms, so one ray in the plane per column of samples finds walls and roofs.
+4. *Paint* (``fragments``, ``ground``, ``facade``, ``openings``, ``surfaces``, ``sky``): what each surface in each pixel
+   looks like, from hashes and smooth noise (``noise``) filtered to the pixel's size.
+5. *Light* (``conditions``, ``lighting``): sun with cast shadows, sky, street lamps, headlights, haze; then branches,
+   poles and people (``rods``), mirror images, halos and drops on the lens (``optics``).
+6. *Develop* (``develop``): exposure, tone, noise, and the damage of old plates, as the condition's sensor renders them.
+7. *Write* (``writer``): JPEG files and positions, whole or not at all.
+
+The same traversal gives the same bytes, in any order and with any number of workers. Processors of another kind may
+round differently: single values of pixels can then differ by one.
+
+The inner loops are compiled on first use (``kernel``, ``warm_up``), and the machine code is kept on disk.
 """
 
-from .conditions import CONDITIONS
-from .traversal import CityTraversal, positions, render_frame, visible_buildings
-from .view import CAMERAS
-from .writer import render
+from artifact.datasets.city.conditions import CONDITIONS
+from artifact.datasets.city.traversal import CityTraversal, positions, render_frame, visible_buildings
+from artifact.datasets.city.view import CAMERAS
+from artifact.datasets.city.writer import render
 
 CITY_REVISION = 1  # raise when any pixel or position changes: part of cache keys
 

@@ -4,16 +4,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .records import RGB as RGB_FIELD
-from .records import layout, record
+from artifact.datasets.city.records import RGB as RGB_FIELD
+from artifact.datasets.city.records import layout, record
 
 RGB = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Condition:
-    """
-    The look of the world at one time, and of the sensor that sees it. Colours are linear light.
+    """The look of the world at one time, and of the sensor that sees it. Colours are linear light.
 
     Attributes
     ----------
@@ -275,8 +274,7 @@ LIGHT = layout(
 
 
 def make_light(condition: Condition, seed: int, *, beams: bool) -> np.ndarray:
-    """
-    Derive the light of one traversal, as one record ``LIGHT``.
+    """Derive the light of one traversal, as one record ``LIGHT``.
 
     ``seed`` moves the clouds and decides which windows are lit; ``beams`` switches on the camera's own headlights.
     """

@@ -1,18 +1,20 @@
 """The country along the railway: farms, walls, cuttings, bridges, a station, fields with trees."""
 
+import itertools
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from . import palette
-from .buildings import Building, Ground, Material, Windows, choose, rectangle, villa, wall_between
-from .models import ThingList
-from .streets import OUTER_DEPTH, TOTAL_HALF, Kind, Plan
-from .trees import CROWN, Species
+from artifact.datasets.city import palette
+from artifact.datasets.city.buildings import Building, Ground, Material, Windows, rectangle, wall_between
+from artifact.datasets.city.houses import villa
+from artifact.datasets.city.models import ThingList
+from artifact.datasets.city.palette import choose
+from artifact.datasets.city.streets import OUTER_DEPTH, TOTAL_HALF, Kind, Plan
+from artifact.datasets.city.trees import CROWN, Species
 
-_TRACK_CLEARANCE = 2.6  # metres from the axis to anything that stands
 _HEDGE = {"material": Material.HEDGE, "wall": (0.035, 0.06, 0.02), "roof": (0.04, 0.07, 0.02)}
 
 
@@ -50,8 +52,7 @@ def line_of(track: np.ndarray) -> Line:
 
 
 def country_buildings(plan: Plan, track: np.ndarray) -> list[Building]:
-    """
-    Build farms, barns, lineside walls, cuttings, bridge abutments and a station.
+    """Build farms, barns, lineside walls, cuttings, bridge abutments and a station.
 
     Nothing stands closer to the track than its clearance, and none of them overlap.
     """
@@ -123,8 +124,7 @@ def _lineside(line: Line, start: int, stop: int, side: float, rng: np.random.Gen
     points = [line.beside(k, distance) for k in range(start, stop + 1)]
     # Pieces end a little short of each other where the line bends.
     return [
-        wall_between(a + 0.04 * (b - a), b - 0.04 * (b - a), thickness, **shared)
-        for a, b in zip(points, points[1:], strict=False)
+        wall_between(a + 0.04 * (b - a), b - 0.04 * (b - a), thickness, **shared) for a, b in itertools.pairwise(points)
     ]
 
 

@@ -4,16 +4,15 @@ from functools import cache
 
 import numpy as np
 
-from .kernel import kernel
-from .noise import hash3, noise2, smooth
-from .records import layout
+from artifact.datasets.city.kernel import kernel
+from artifact.datasets.city.noise import hash3, noise2, smooth
+from artifact.datasets.city.records import layout
 
 # How a sensor renders one frame.
 SENSOR = layout(
     gain=("f8", (3,)),  # exposure and white balance
     saturation="f8",
     noise="f8",
-    blur="f8",  # pixels
     mono="f8",
     tint=("f8", (3,)),
     vignette="f8",
@@ -53,8 +52,7 @@ _CURVE_TOP = 12.0  # linear light at the end of the tone curve
 
 @cache
 def tone_curve(contrast: float) -> np.ndarray:
-    """
-    Tabulate the curve from linear light to display light, float32, over the square root of the light.
+    """Tabulate the curve from linear light to display light, float32, over the square root of the light.
 
     Filmic, with a soft shoulder, then the sRGB transfer function, then contrast about middle grey.
     """
@@ -73,8 +71,7 @@ def _tone(x, curve):
 
 @kernel
 def develop(image, sensor_record, curve, out):
-    """
-    Render a linear image as 8-bit sRGB.
+    """Render a linear image as 8-bit sRGB.
 
     Parameters
     ----------

@@ -2,14 +2,13 @@
 
 import numpy as np
 
-from .fragments import K_WALL
-from .kernel import kernel
-from .noise import cloud_noise, cover, hash3, noise2, smooth, stripes
-from .openings import arcade, door, mix, shop, window
-from .trace import BUILDING
-from .view import SAMPLES
-
-EDGE = 0.45  # metres from a house's corner to its first bay; furnish.FACADE_EDGE
+from artifact.datasets.city.buildings import FACADE_EDGE
+from artifact.datasets.city.fragments import K_WALL
+from artifact.datasets.city.kernel import kernel
+from artifact.datasets.city.noise import cloud_noise, cover, hash3, noise2, smooth, stripes
+from artifact.datasets.city.openings import arcade, door, mix, shop, window
+from artifact.datasets.city.trace import BUILDING
+from artifact.datasets.city.view import SAMPLES
 
 # What is at a point of a wall: nothing, a window of kind 1 to 8 (see buildings.Windows), or one of these.
 DOOR, SHOP, ARCADE, GATE = 20, 21, 22, 23
@@ -52,7 +51,7 @@ def wall_texture(material, u, z, fu, fz, seed):
 @kernel
 def _beams(u, z, fu, fz, step, floor_height, ground_height, seed):
     """Share of a timber frame's beams at a point."""
-    s, t = u - EDGE, z - ground_height
+    s, t = u - FACADE_EDGE, z - ground_height
     floor = np.floor(t / floor_height)
     column = np.floor(s / step)
     share = stripes(s + 0.08, step, 0.18, fu) + stripes(t + 0.1, floor_height, 0.22, fz)
@@ -77,8 +76,8 @@ def _pattern(house, u, z, fu, fz, length):
         diamond = smooth(0.34, 0.26, abs(abs(x) + abs(y) - 0.25) * 1.6)
         share = max(share, 0.6 * (diamond * (1.0 - far) + 0.35 * far))
     if house.ornament & PILASTERS:
-        step = (length - 2 * EDGE) / max(1, np.int64((length - 2 * EDGE) / house.bay))
-        share = max(share, 0.8 * stripes(u - EDGE + 0.17, step, 0.34, fu))
+        step = (length - 2 * FACADE_EDGE) / max(1, np.int64((length - 2 * FACADE_EDGE) / house.bay))
+        share = max(share, 0.8 * stripes(u - FACADE_EDGE + 0.17, step, 0.34, fu))
     return share
 
 
@@ -100,17 +99,16 @@ def _mural(house, u, z, length, r, g, b):
 
 @kernel
 def opening_at(house, side, u, z):
-    """
-    Find the opening whose bay a point of a wall lies in.
+    """Find the opening whose bay a point of a wall lies in.
 
     Returns what it is, the position in it (from its centre, from its foot), its half width, its height, a number that
     identifies it, and the width of its bay.
     """
     length, kind, seed = house.length[side], house.windows, house.seed
-    bays = max(1, np.int64((length - 2 * EDGE) / house.bay))
-    step = (length - 2 * EDGE) / bays
-    column = min(bays - 1, max(0, np.int64((u - EDGE) / step)))
-    x = u - EDGE - (column + 0.5) * step
+    bays = max(1, np.int64((length - 2 * FACADE_EDGE) / house.bay))
+    step = (length - 2 * FACADE_EDGE) / bays
+    column = min(bays - 1, max(0, np.int64((u - FACADE_EDGE) / step)))
+    x = u - FACADE_EDGE - (column + 0.5) * step
     if z <= house.ground_height:
         if not house.fronts[side] or house.ground == 0:
             return 0, 0.0, 0.0, 0.0, 0.0, 0.0, step
@@ -181,8 +179,7 @@ def _opening(house, side, u, z, fu, fz, light, r, g, b):
 
 @kernel
 def facade(house, side, u, z, fu, fz, light):
-    """
-    Look of a point of a wall.
+    """Look of a point of a wall.
 
     Parameters
     ----------
@@ -203,7 +200,7 @@ def facade(house, side, u, z, fu, fz, light):
     upper = z > ground_height
     timber, trim = 0.0, 0.0
     if house.material == 4 and upper:
-        step = (length - 2 * EDGE) / max(1, np.int64((length - 2 * EDGE) / house.bay))
+        step = (length - 2 * FACADE_EDGE) / max(1, np.int64((length - 2 * FACADE_EDGE) / house.bay))
         timber = _beams(u, z, fu, fz, step, house.floor_height, ground_height, seed)
         timber *= 1.0 - 0.5 * smooth(0.3 * step, step, fu)
     r, g, b = r + timber * (0.055 - r), g + timber * (0.036 - g), b + timber * (0.024 - b)

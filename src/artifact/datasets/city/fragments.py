@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from .kernel import kernel
-from .records import layout
-from .trace import BUILDING, GROUND, LEAF, SKY, THING
-from .view import SAMPLES, horizon_at, ray_of
+from artifact.datasets.city.kernel import kernel
+from artifact.datasets.city.records import layout
+from artifact.datasets.city.trace import BUILDING, GROUND, LEAF, SKY, THING
+from artifact.datasets.city.view import SAMPLES, horizon_at, ray_of
 
 # One surface in one pixel: where it is, and after painting what it looks like.
 FRAGMENT = layout(
@@ -43,8 +43,7 @@ N_KINDS = 6
 
 @kernel
 def gather(view_record, surface, depth, blocked, rows, columns, fragments, index, counts):
-    """
-    Turn samples into fragments; returns how many.
+    """Turn samples into fragments; returns how many.
 
     Samples of one pixel that see the same surface become one fragment at their mean position: textures are filtered
     analytically, so only the outlines of surfaces need several samples.

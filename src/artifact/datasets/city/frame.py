@@ -6,23 +6,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .conditions import CONDITIONS, Condition, make_light
-from .develop import SENSOR, develop, soften, tone_curve
-from .facade import paint_walls
-from .fragments import FRAGMENT, N_KINDS, gather
-from .ground import paint_ground
-from .lighting import light_fragments
-from .models import models
-from .optics import add_halos, bloom, mirror_ground, rain_on_lens, trace_shadows
-from .raster import trace_crowns, trace_things
-from .records import record
-from .rods import MOST_RODS, PLACED_ROD, collect_thing_rods, collect_tree_rods, draw_rods, sort_keys
-from .sky import paint_sky
-from .surfaces import paint_leaves, paint_roofs, paint_things
-from .town import Town, shade_map
-from .trace import trace_columns
-from .trees import tree_shapes
-from .view import HEIGHT, SAMPLES, WIDTH, Camera, Pose, make_view
+from artifact.datasets.city.conditions import CONDITIONS, Condition, make_light
+from artifact.datasets.city.develop import SENSOR, develop, soften, tone_curve
+from artifact.datasets.city.facade import paint_walls
+from artifact.datasets.city.fragments import FRAGMENT, N_KINDS, gather
+from artifact.datasets.city.ground import paint_ground
+from artifact.datasets.city.lighting import light_fragments
+from artifact.datasets.city.models import models
+from artifact.datasets.city.optics import add_halos, bloom, mirror_ground, rain_on_lens, trace_shadows
+from artifact.datasets.city.raster import trace_crowns, trace_things
+from artifact.datasets.city.records import record
+from artifact.datasets.city.rods import (
+    MOST_RODS,
+    PLACED_ROD,
+    collect_thing_rods,
+    collect_tree_rods,
+    draw_rods,
+    sort_keys,
+)
+from artifact.datasets.city.sky import paint_sky
+from artifact.datasets.city.surfaces import paint_leaves, paint_roofs, paint_things
+from artifact.datasets.city.town import Scene, Town, shade_map
+from artifact.datasets.city.trace import trace_columns
+from artifact.datasets.city.trees import tree_shapes
+from artifact.datasets.city.view import HEIGHT, SAMPLES, WIDTH, Camera, Pose, make_view
 
 _THING_REACH = 170.0  # metres
 
@@ -60,9 +67,29 @@ def near_things(things: np.ndarray, pose: Pose) -> np.ndarray:
 
 def shade(town: Town, condition: Condition, light: np.ndarray, traced: Traced) -> np.ndarray:
     """Turn a traced frame into linear radiance, float32 (rows, columns, 3)."""
-    scene, shapes, library = town.scene, tree_shapes(), models()
-    view, surface, depth, blocked, things = traced
+    scene, view, depth = town.scene, traced.view, traced.depth
     sun = shade_map(town.plan.seed, condition.era, condition.sun_azimuth, condition.sun_elevation)
+    image, mirror = paint(scene, sun, light, traced)
+    overlay(scene, sun, light, traced, image)
+    if mirror.any():
+        mirror_ground(view, depth, mirror, image)
+    if condition.dark or condition.rain:
+        add_halos(view, light, scene.lamps, traced.things, depth, image)
+    return image
+
+
+def paint(scene: Scene, sun: np.ndarray, light: np.ndarray, traced: Traced) -> tuple[np.ndarray, np.ndarray]:
+    """Paint and light all surfaces.
+
+    Returns
+    -------
+    image : ndarray, float32 (rows, columns, 3)
+        Linear radiance.
+    mirror : ndarray, float32 (rows, columns)
+        Share of light that the ground mirrors.
+    """
+    shapes, library = tree_shapes(), models()
+    view, surface, depth, blocked, things = traced
     fragments = np.empty(WIDTH * HEIGHT * SAMPLES * SAMPLES, FRAGMENT)
     index, counts = np.empty((N_KINDS, len(fragments)), np.int32), np.zeros(N_KINDS, np.int64)
     image, mirror = np.zeros((HEIGHT, WIDTH, 3), np.float32), np.zeros((HEIGHT, WIDTH), np.float32)
@@ -76,6 +103,13 @@ def shade(town: Town, condition: Condition, light: np.ndarray, traced: Traced) -
     paint_things(light, things, library.models, library.faces, fragments, index, counts)
     paint_sky(light, scene.world, fragments, index, counts, image)
     light_fragments(view, light, scene.world, sun, scene.lamps, scene.lamp_table, fragments, index, counts, image)
+    return image, mirror
+
+
+def overlay(scene: Scene, sun: np.ndarray, light: np.ndarray, traced: Traced, image: np.ndarray) -> None:
+    """Draw trunks, branches, poles and people over an image, the farthest first."""
+    shapes, library = tree_shapes(), models()
+    view, _, depth, _, things = traced
     rods = np.empty(MOST_RODS, PLACED_ROD)
     count = collect_tree_rods(view, light, scene.trees, shapes.shapes, shapes.limbs, rods, 0)
     count = collect_thing_rods(view, things, library.models, library.rods, rods, count)
@@ -83,11 +117,6 @@ def shade(town: Town, condition: Condition, light: np.ndarray, traced: Traced) -
     sort_keys(view, rods, count, keys)
     order = np.argsort(keys, kind="stable")
     draw_rods(view, light, scene.world, sun, scene.lamps, scene.lamp_table, rods, order, depth, image)
-    if mirror.any():
-        mirror_ground(view, light, depth, mirror, image)
-    if condition.dark or condition.rain:
-        add_halos(view, light, scene.lamps, things, depth, image)
-    return image
 
 
 @dataclass(frozen=True)
@@ -116,7 +145,6 @@ def expose(image: np.ndarray, condition: Condition, camera: Camera, mood: Mood) 
             "gain": (gain * warmth, gain, gain / warmth),
             "saturation": condition.saturation,
             "noise": condition.noise,
-            "blur": condition.blur,
             "mono": condition.tint is not None,
             "tint": condition.tint or (1.0, 1.0, 1.0),
             "vignette": condition.vignette,

@@ -4,21 +4,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import palette
-from .buildings import Building, Ground, Windows, choose, roof_height
-from .country import furnish_country
-from .lots import Site, Zone
-from .models import ThingList
-from .streets import ROAD_HALF, TOTAL_HALF, Kind, Plan, inset
-from .trees import TREE, Species
-
-FACADE_EDGE = 0.45  # metres between a house's corner and its first bay
+from artifact.datasets.city import palette
+from artifact.datasets.city.buildings import FACADE_EDGE, Building, Ground, Windows, roof_height
+from artifact.datasets.city.country import furnish_country
+from artifact.datasets.city.lots import Site, Zone
+from artifact.datasets.city.models import ThingList
+from artifact.datasets.city.palette import choose
+from artifact.datasets.city.streets import ROAD_HALF, TOTAL_HALF, Kind, Plan, inset
+from artifact.datasets.city.trees import TREE, Species
 
 
 @dataclass(frozen=True)
 class Furniture:
-    """
-    What stands in a town of one era.
+    """What stands in a town of one era.
 
     Attributes
     ----------
@@ -66,8 +64,7 @@ class Collector:
 
 
 def furnish(plan: Plan, sites: list[Site], buildings: list[Building], track: np.ndarray, era: str) -> Furniture:
-    """
-    Put trees, lamps and furniture into a town.
+    """Put trees, lamps and furniture into a town.
 
     Trees, lamp posts and street furniture depend on the plan only, so that they are the same in both eras where both
     eras have them.
@@ -200,20 +197,21 @@ def _furnish_corners(
 def _clear_points(site: Site, count: int, margin: float, rng: np.random.Generator) -> list[np.ndarray]:
     """Draw points in a block that keep ``margin`` metres from its houses."""
     corners = inset(site.block.corners, (1.5,) * 4)
+    houses = np.array([b.corners for b in site.buildings]).reshape(-1, 4, 2)
     found = []
     for _ in range(count):
         u, v = rng.random(2)
         p = (1 - v) * ((1 - u) * corners[0] + u * corners[1]) + v * ((1 - u) * corners[3] + u * corners[2])
-        if all(_distance(b.corners, p) > margin for b in site.buildings):
+        if (_distances(houses, p) > margin).all():
             found.append(p)
     return found
 
 
-def _distance(corners: np.ndarray, p: np.ndarray) -> float:
-    """Distance of a point from a convex polygon's sides; negative inside."""
-    direction = np.roll(corners, -1, axis=0) - corners
-    normal = np.stack([direction[:, 1], -direction[:, 0]], axis=1) / np.linalg.norm(direction, axis=1)[:, None]
-    return float(((p - corners) * normal).sum(axis=1).max())
+def _distances(corners: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Distances of a point from the sides of convex polygons, shape (n, k, 2); negative inside."""
+    direction = np.roll(corners, -1, axis=1) - corners
+    normal = np.stack([direction[..., 1], -direction[..., 0]], axis=-1) / np.linalg.norm(direction, axis=-1)[..., None]
+    return ((p - corners) * normal).sum(axis=-1).max(axis=-1)
 
 
 def _furnish_site(c: Collector, site: Site, rng: np.random.Generator) -> None:
@@ -267,7 +265,7 @@ def _furnish_square(c: Collector, site: Site, rng: np.random.Generator) -> None:
             c.lamp(a + s * u, 0.0, tall=False)
             inwards = np.array([-u[1], u[0]])
             c.things.add("bench", *(a + (s + 4) * u + 0.8 * inwards), float(np.arctan2(u[1], u[0])))
-    points = [p for p in _clear_points(site, 60, 4.0, rng) if _distance(site.block.corners, p) < -6]
+    points = [p for p in _clear_points(site, 60, 4.0, rng) if _distances(site.block.corners[None], p)[0] < -6]
     for name, count in (("fountain", 1), ("statue", 1), ("stall", 6), ("pillar", 1)):
         for _ in range(count):
             if points:

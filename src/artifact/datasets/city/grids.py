@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .kernel import kernel
+from artifact.datasets.city.kernel import kernel
 
 HEIGHT_CELL = 0.5  # metres; heights and shadows
 OPEN_CELL = 2.0  # metres; share of the sky seen
@@ -175,8 +175,7 @@ def sky_seen(heights):
 
 @kernel
 def cast_shadows(heights, azimuth, elevation, shadow):
-    """
-    Fill ``shadow``, float32 like ``heights``, with the height below which a point lies in the sun's shadow.
+    """Fill ``shadow``, float32 like ``heights``, with the height below which a point lies in the sun's shadow.
 
     One sweep away from the sun: the shadow over a cell is the higher of its neighbour's roof and its neighbour's
     shadow, lowered by the sun's slope. The cell's own roof does not count.

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from .fragments import K_GROUND
-from .grids import STREET_CELL
-from .kernel import kernel
-from .noise import cloud_noise, cover, hash3, noise2, smooth, stripes
-from .view import SAMPLES
+from artifact.datasets.city.fragments import K_GROUND
+from artifact.datasets.city.grids import STREET_CELL
+from artifact.datasets.city.kernel import kernel
+from artifact.datasets.city.noise import cloud_noise, cover, hash3, noise2, smooth, stripes
+from artifact.datasets.city.view import SAMPLES
 
 
 @kernel
@@ -102,7 +102,7 @@ def _track(s, d, foot_s, foot_d, x, y, light):
 def _yard(zone, x, y, foot, light, seed):
     """Colour of the ground between the streets."""
     coarse = cloud_noise(x * 0.06, y * 0.06, seed + 2, 3.0)
-    if zone == 2 or zone == 3:
+    if zone in (2, 3):
         value = (_slabs(x, y, 0.8, foot, foot, seed) if zone == 3 else 1.0) * (0.8 + 0.4 * coarse)
         border = stripes(x, 8.0, 0.35, foot) + stripes(y, 8.0, 0.35, foot) if zone == 3 else 0.0
         value *= 1.0 - 0.25 * min(1.0, border)
@@ -127,9 +127,54 @@ def _yard(zone, x, y, foot, light, seed):
 
 
 @kernel
+def _yard_snow(zone, brightness, x, y, light):
+    """Share of the ground between the streets that snow covers; furrows and tufts show where it has drifted away."""
+    drift = 0.75 * cloud_noise(x * 0.28, y * 0.28, 12.0, 3.0) + 0.25 * noise2(x * 2.6, y * 2.6, 18.0)
+    bare = 1.0 - light.snow
+    return smooth(bare, bare + 0.14, drift + 0.6 * brightness - 0.12) * (0.75 if zone in (2, 3) else 1.0)
+
+
+@kernel
+def _pavement(piece, s, d, fs, fd, x, y):
+    """Colour of a pavement of slabs or clinker, or of the gravel of a park's path."""
+    seed = piece.seed
+    tone = 0.85 + 0.3 * hash3(seed, 1.0, 2.0)
+    value = tone * (0.84 + 0.32 * cloud_noise(x * 0.35, y * 0.35, 3.0, 3.0))
+    if piece.kind == 5:
+        return 0.34 * value, 0.29 * value, 0.21 * value
+    paved = _slabs(s, d, 0.6 if hash3(seed, 4.0, 4.0) < 0.6 else 0.4, fs, fd, seed)
+    if hash3(seed, 6.0, 6.0) < 0.3:  # clinker
+        return 0.26 * value * paved, 0.17 * value * paved, 0.13 * value * paved
+    return 0.27 * value * paved, 0.255 * value * paved, 0.23 * value * paved
+
+
+@kernel
+def _road(piece, s, d, fs, fd, x, y, crossing, light):
+    """Colour of a road with its markings, and the brightness that its kerbs share."""
+    if piece.kind in (0, 3) or (light.past and piece.kind != 5):  # cobbles
+        tone = _stones(s, d, 0.16, max(fs, fd), piece.seed) * (0.8 + 0.4 * cloud_noise(x * 0.3, y * 0.3, 5.0, 3.0))
+        return 0.175 * tone, 0.16 * tone, 0.145 * tone, tone
+    tone = _asphalt(x, y, s, d, piece.road, max(fs, fd), piece.seed)
+    r, g, b = 0.105 * tone, 0.105 * tone, 0.108 * tone
+    if crossing > 1.2:
+        paint = _markings(piece, s, d, piece.road, fs, fd, light)
+        r, g, b = r + paint * (0.62 - r), g + paint * (0.61 - g), b + paint * (0.57 - b)
+    return r, g, b, tone
+
+
+@kernel
+def _road_snow(piece, s, d, x, y, crossing):
+    """Share of a road that snow covers: wheels clear two tracks in each lane, slush lies between and beside them."""
+    lane = abs(d) - 1.65
+    track = smooth(0.55, 0.2, abs(abs(lane) - 0.75)) if crossing > 0.5 else 0.75
+    drift = 0.6 * cloud_noise(s * 0.22, d * 1.1, 16.0 + piece.seed, 3.0) + 0.4 * noise2(x * 1.9, y * 1.9, 17.0)
+    kerbside = smooth(2.6, 1.2, piece.road - abs(d)) * (1.0 if crossing > 1.0 else 0.3)
+    return smooth(0.42, 0.62, drift + 0.10 - 0.34 * track + 0.25 * kerbside)
+
+
+@kernel
 def _locate(world, streets, table, x, y):
-    """
-    Find where a point lies in the streets.
+    """Find where a point lies in the streets.
 
     Returns the street piece whose road is nearest (-1: none), the position along and across it, the signed distances
     (negative inside) to road, to street and to water, and the distance to the nearest other road.
@@ -168,8 +213,7 @@ def _locate(world, streets, table, x, y):
 
 @kernel
 def _ground(world, streets, table, zones, light, x, y, toward_x, toward_y, long, wide):
-    """
-    Look of a point of the ground.
+    """Look of a point of the ground.
 
     Parameters
     ----------
@@ -198,54 +242,26 @@ def _ground(world, streets, table, zones, light, x, y, toward_x, toward_y, long,
         )  # fmt: skip
     if best < 0 or (total > 0.0 and road > 0.0):
         r, g, b = _yard(zone, x, y, foot, light, world.seed)
-        settle = 0.0
-        if light.snow > 0.0:
-            # A thin cover: furrows and tufts show through where it has drifted away.
-            drift = 0.75 * cloud_noise(x * 0.28, y * 0.28, 12.0, 3.0) + 0.25 * noise2(x * 2.6, y * 2.6, 18.0)
-            bare = 1.0 - light.snow
-            settle = smooth(bare, bare + 0.14, drift + 0.6 * (r + g + b) - 0.12) * (0.75 if zone in (2, 3) else 1.0)
-        if zone == 2 or zone == 3:
+        settle = _yard_snow(zone, r + g + b, x, y, light) if light.snow > 0.0 else 0.0
+        if zone in (2, 3):
             mirror = light.wet * 0.5
         return *_covered(r, g, b, settle, mirror, x, y, light), mirror
     piece = streets[best]
-    kind, ux, uy, seed = piece.kind, piece.ux, piece.uy, piece.seed
+    kind, ux, uy = piece.kind, piece.ux, piece.uy
     cos, sin = abs(ux * toward_x + uy * toward_y), abs(ux * toward_y - uy * toward_x)
     fs, fd = cos * long + sin * wide, sin * long + cos * wide
     if kind == 4:
         r, g, b = _track(s + piece.start, d, fs, fd, x, y, light)
         return r, g, b, 0.15 * light.wet
-    settle = 0.0
-    # Pavement, or gravel on a park's path.
-    tone = 0.85 + 0.3 * hash3(seed, 1.0, 2.0)
-    value = tone * (0.84 + 0.32 * cloud_noise(x * 0.35, y * 0.35, 3.0, 3.0))
-    paved = _slabs(s, d, 0.6 if hash3(seed, 4.0, 4.0) < 0.6 else 0.4, fs, fd, seed)
-    pr, pg, pb = 0.27 * value * paved, 0.255 * value * paved, 0.23 * value * paved
-    if hash3(seed, 6.0, 6.0) < 0.3:  # clinker
-        pr, pg, pb = 0.26 * value * paved, 0.17 * value * paved, 0.13 * value * paved
-    if kind == 5:
-        pr, pg, pb = 0.34 * value, 0.29 * value, 0.21 * value
-    pavement_snow = smooth(0.42, 0.62, cloud_noise(x * 0.7, y * 0.7, 15.0, 3.0) + 0.10)
-    # Road.
-    cobbled = kind in (0, 3) or (light.past and kind != 5)
-    if cobbled:
-        tone = _stones(s, d, 0.16, max(fs, fd), seed) * (0.8 + 0.4 * cloud_noise(x * 0.3, y * 0.3, 5.0, 3.0))
-        rr, rg, rb = 0.175 * tone, 0.16 * tone, 0.145 * tone
-    else:
-        tone = _asphalt(x, y, s, d, piece.road, max(fs, fd), seed)
-        rr, rg, rb = 0.105 * tone, 0.105 * tone, 0.108 * tone
-        if crossing > 1.2:
-            paint = _markings(piece, s, d, piece.road, fs, fd, light)
-            rr, rg, rb = rr + paint * (0.62 - rr), rg + paint * (0.61 - rg), rb + paint * (0.57 - rb)
-    # Wheels clear two tracks in each lane; slush lies between them and along the kerbs.
-    lane = abs(d) - 1.65
-    track = smooth(0.55, 0.2, abs(abs(lane) - 0.75)) if crossing > 0.5 else 0.75
-    drift = 0.6 * cloud_noise(s * 0.22, d * 1.1, 16.0 + seed, 3.0) + 0.4 * noise2(x * 1.9, y * 1.9, 17.0)
-    kerbside = smooth(2.6, 1.2, piece.road - abs(d)) * (1.0 if crossing > 1.0 else 0.3)
-    road_snow = smooth(0.42, 0.62, drift + 0.10 - 0.34 * track + 0.25 * kerbside)
     foot_edge = max(0.02, fs if crossing < 0.5 else fd)
     on_road = smooth(0.5 * foot_edge, -0.5 * foot_edge, road) if kind != 5 else 0.0
-    r, g, b = pr + on_road * (rr - pr), pg + on_road * (rg - pg), pb + on_road * (rb - pb)
-    settle = pavement_snow + on_road * (road_snow * 0.85 - pavement_snow)
+    r, g, b = _pavement(piece, s, d, fs, fd, x, y) if on_road < 1.0 else (0.0, 0.0, 0.0)
+    rr, rg, rb, tone = _road(piece, s, d, fs, fd, x, y, crossing, light)
+    r, g, b = r + on_road * (rr - r), g + on_road * (rg - g), b + on_road * (rb - b)
+    settle = 0.0
+    if light.snow > 0.0:
+        lying = smooth(0.42, 0.62, cloud_noise(x * 0.7, y * 0.7, 15.0, 3.0) + 0.10)
+        settle = lying + on_road * (_road_snow(piece, s, d, x, y, crossing) * 0.85 - lying)
     if kind not in (0, 5):
         kerb = cover(road - 0.09, 0.09, foot_edge)
         r, g, b = r + kerb * (0.36 * tone - r), g + kerb * (0.355 * tone - g), b + kerb * (0.34 * tone - b)

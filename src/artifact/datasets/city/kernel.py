@@ -13,8 +13,7 @@ _checked: set[str] = set()
 
 
 def kernel(function: Callable) -> Callable:
-    """
-    Compile a numerical function without the interpreter lock, and keep the machine code on disk.
+    """Compile a numerical function without the interpreter lock, and keep the machine code on disk.
 
     The compiler's disk cache notices a change of the function's own file only, not of the files it calls.
     Cached code is therefore dropped whenever any source file of this package has changed.
@@ -39,6 +38,7 @@ def kernel(function: Callable) -> Callable:
 
 
 def _drop_stale(folder: str) -> None:
+    """Delete the compiled code in a folder unless it was compiled from the sources as they are now."""
     if folder in _checked:
         return
     _checked.add(folder)
@@ -49,6 +49,6 @@ def _drop_stale(folder: str) -> None:
     with contextlib.suppress(OSError):
         if stamp.exists() and stamp.read_text() == digest.hexdigest():
             return
-        for index in Path(folder).glob("*.nbi"):
-            index.unlink(missing_ok=True)
+        for code in [*Path(folder).glob("*.nbi"), *Path(folder).glob("*.nbc")]:
+            code.unlink(missing_ok=True)
         stamp.write_text(digest.hexdigest())

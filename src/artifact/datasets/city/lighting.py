@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from .fragments import K_LEAF, K_SKY
-from .grids import LAMP_CELL, look_up
-from .kernel import kernel
-from .noise import noise2, smooth
-from .sky import sky_gradient
+from artifact.datasets.city.fragments import K_LEAF, K_SKY
+from artifact.datasets.city.grids import LAMP_CELL, look_up
+from artifact.datasets.city.kernel import kernel
+from artifact.datasets.city.noise import noise2, smooth
+from artifact.datasets.city.sky import sky_gradient
 
 WARM = (1.0, 0.60, 0.26)
 WHITE = (1.0, 0.88, 0.68)
@@ -58,17 +58,34 @@ def beam_light(view, light, x, y, z, nx, ny, nz):
 
 
 @kernel
-def _mirrored(light, dx, dy, slope):
-    """What a window or a car mirrors: sky above, the dim other side of the street below."""
+def _mirrored(light, slope):
+    """Look up what a window or a car mirrors: sky above, the dim other side of the street below."""
     r, g, b = sky_gradient(light, max(slope, 0.12))
     share = 0.16 + 0.84 * smooth(0.0, 0.42, slope)
     return r * share, g * share, b * share
 
 
 @kernel
+def _glossy(light, f, flat, x, y, z, nx, ny, nz, shining, r, g, b):
+    """Blend the mirror image of the sky over a glossy surface, and add that of the sun if it is ``shining`` on it."""
+    length = np.sqrt(flat * flat + f.slope * f.slope)
+    vx, vy, vz = f.ray_x / length, f.ray_y / length, f.slope / length
+    along = nx * vx + ny * vy + nz * vz
+    mx, my, mz = vx - 2.0 * along * nx, vy - 2.0 * along * ny, vz - 2.0 * along * nz
+    level = np.sqrt(mx * mx + my * my) + 1e-6
+    wobble = 0.1 * (noise2(x * 0.8 + y * 0.8, z * 0.8, 51.0) - 0.5)
+    mr, mg, mb = _mirrored(light, mz / level + wobble)
+    share = min(1.0, f.gloss * (0.10 + 0.75 * (1.0 - min(1.0, abs(along))) ** 3))
+    r, g, b = r + share * (mr - r), g + share * (mg - g), b + share * (mb - b)
+    if shining:
+        shine = f.gloss * max(0.0, mx * light.sun_x + my * light.sun_y + mz * light.sun_z) ** 60
+        r, g, b = r + shine * light.sun[0], g + shine * light.sun[1], b + shine * light.sun[2]
+    return r, g, b
+
+
+@kernel
 def light_fragments(view_record, light_record, world_record, shade, lamps, table, fragments, index, counts, image):
-    """
-    Light all fragments but the sky's and add them to ``image``, float32 (rows, columns, 3) of linear radiance.
+    """Light all fragments but the sky's and add them to ``image``, float32 (rows, columns, 3) of linear radiance.
 
     Walls look up shadows a little in front of themselves, so that they do not shade themselves.
     """
@@ -114,18 +131,8 @@ def light_fragments(view_record, light_record, world_record, shade, lamps, table
             b = b * contact * f.blue + f.glow_blue
             flat = np.sqrt(np.float64(f.ray_x * f.ray_x + f.ray_y * f.ray_y))
             if f.gloss > 0.0:
-                length = np.sqrt(flat * flat + f.slope * f.slope)
-                vx, vy, vz = f.ray_x / length, f.ray_y / length, f.slope / length
-                along = nx * vx + ny * vy + nz * vz
-                mx, my, mz = vx - 2.0 * along * nx, vy - 2.0 * along * ny, vz - 2.0 * along * nz
-                level = np.sqrt(mx * mx + my * my) + 1e-6
-                wobble = 0.1 * (noise2(x * 0.8 + y * 0.8, z * 0.8, 51.0) - 0.5)
-                mr, mg, mb = _mirrored(light, mx / level, my / level, mz / level + wobble)
-                share = min(1.0, f.gloss * (0.10 + 0.75 * (1.0 - min(1.0, abs(along))) ** 3))
-                r, g, b = r + share * (mr - r), g + share * (mg - g), b + share * (mb - b)
-                if day and facing > 0.0 and roof < z:
-                    shine = f.gloss * max(0.0, mx * sun_x + my * sun_y + mz * sun_z) ** 60
-                    r, g, b = r + shine * light.sun[0], g + shine * light.sun[1], b + shine * light.sun[2]
+                shining = day and facing > 0.0 and roof < z
+                r, g, b = _glossy(light, f, flat, x, y, z, nx, ny, nz, shining, r, g, b)
             veil = 1.0 - np.exp(-light.haze * f.depth * flat)
             pixel = image[f.row, f.column]
             pixel[0] += f.share * (r + veil * (light.haze_colour[0] - r))

@@ -1,25 +1,27 @@
 """From blocks to lots to houses: which buildings stand where."""
 
+import itertools
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
 
-from . import palette
-from .buildings import (
-    CHARACTERS,
-    Building,
-    Ground,
-    Material,
-    Windows,
-    choose,
-    church,
-    rectangle,
-    town_house,
-    villa,
-    wall_between,
+from artifact.datasets.city import palette
+from artifact.datasets.city.buildings import Building, Ground, Material, Windows, rectangle, wall_between
+from artifact.datasets.city.houses import CHARACTERS, church, town_house, villa
+from artifact.datasets.city.palette import choose
+from artifact.datasets.city.streets import (
+    N_COLUMNS,
+    N_ROWS,
+    TOTAL_HALF,
+    WATER_HALF,
+    Block,
+    Kind,
+    Plan,
+    blocks,
+    inset,
+    meet,
 )
-from .streets import N_COLUMNS, N_ROWS, TOTAL_HALF, WATER_HALF, Block, Kind, Plan, inset, meet
 
 
 class Zone(IntEnum):
@@ -37,15 +39,12 @@ class Site:
     """A block with what it has become."""
 
     block: Block
-    character: str
     zone: Zone
     buildings: tuple[Building, ...]
 
 
 def build_sites(plan: Plan) -> list[Site]:
     """Decide what each block of a plan becomes, and build it."""
-    from .streets import blocks
-
     found = blocks(plan)
     rng = np.random.default_rng([plan.seed, 3])
     inner = [b for b in found if not b.outer]
@@ -56,16 +55,16 @@ def build_sites(plan: Plan) -> list[Site]:
     for index, block in enumerate(found):
         rng = np.random.default_rng([plan.seed, 4, index])
         if block is square:
-            sites.append(Site(block, "square", Zone.SQUARE, tuple(_square(block, rng))))
+            sites.append(Site(block, Zone.SQUARE, tuple(_square(block, rng))))
         elif block is park:
-            sites.append(Site(block, "park", Zone.PARK, tuple(_park(block, rng))))
+            sites.append(Site(block, Zone.PARK, tuple(_park(block, rng))))
         elif block.outer:
-            sites.append(Site(block, "villas", Zone.GARDEN, tuple(_villas(block, rng, sides=(0,)))))
+            sites.append(Site(block, Zone.GARDEN, tuple(_villas(block, rng, sides=(0,)))))
         else:
             character = _character(block, square, rng)
             zone = Zone.COURT if rng.random() < 0.5 and character != "villas" else Zone.GARDEN
             houses = _villas(block, rng) if character == "villas" else _perimeter(block, character, rng)
-            sites.append(Site(block, character, zone, tuple(houses)))
+            sites.append(Site(block, zone, tuple(houses)))
     return sites
 
 
@@ -103,8 +102,7 @@ def _cuts(length: float, low: float, high: float, rng: np.random.Generator) -> n
 
 
 def _strips(corners: np.ndarray, depth: float) -> list[tuple[np.ndarray, bool, bool]]:
-    """
-    Divide the rim of a block into four strips that do not overlap.
+    """Divide the rim of a block into four strips that do not overlap.
 
     Each is (front start, front end, back end, back start) with whether its ends face a street too: the two
     longer opposite sides run through, the others fit between them.
@@ -133,7 +131,7 @@ def _perimeter(block: Block, character: str, rng: np.random.Generator) -> list[B
     for strip, open_start, open_end in _strips(block.corners, _DEPTHS[character]):
         p0, p1, q1, q0 = strip
         cuts = _cuts(float(np.linalg.norm(p1 - p0)), low, high, rng)
-        for k, (a, b) in enumerate(zip(cuts, cuts[1:], strict=False)):
+        for k, (a, b) in enumerate(itertools.pairwise(cuts)):
             first, last = k == 0 and open_start, k == len(cuts) - 2 and open_end
             corners = np.array([p0 + a * (p1 - p0), p0 + b * (p1 - p0), q0 + b * (q1 - q0), q0 + a * (q1 - q0)])
             if not first and not last and rng.random() < 0.06:
@@ -172,7 +170,7 @@ def _villas(block: Block, rng: np.random.Generator, sides: tuple[int, ...] = (0,
     for k in sides:
         p0, p1, q1, q0 = strips[k][0]
         cuts = _cuts(float(np.linalg.norm(p1 - p0)), 14.0, 21.0, rng)
-        for a, b in zip(cuts, cuts[1:], strict=False):
+        for a, b in itertools.pairwise(cuts):
             lot = np.array([p0 + a * (p1 - p0), p0 + b * (p1 - p0), q0 + b * (q1 - q0), q0 + a * (q1 - q0)])
             found += _villa_lot(lot, rng)
     return found
@@ -253,7 +251,7 @@ def _park(block: Block, rng: np.random.Generator) -> list[Building]:
                     roof=(0.04, 0.07, 0.02),
                     material=Material.HEDGE,
                     tags=frozenset({"fence"}),
-                )  # fmt: skip
+                )
             )
     return found
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .kernel import kernel
+from artifact.datasets.city.kernel import kernel
 
 _A = np.uint64(0x9E3779B97F4A7C15)
 _B = np.uint64(0xC2B2AE3D27D4EB4F)
@@ -16,8 +16,7 @@ _UNIT = 1.0 / (1 << 24)
 
 @kernel
 def hash3(i, j, k):
-    """
-    Map three whole numbers to a number in [0, 1) that looks independent of its neighbours.
+    """Map three whole numbers to a number in [0, 1) that looks independent of its neighbours.
 
     They are passed as floats, here and as the seeds below, so that one compiled version serves every caller.
     """
@@ -69,8 +68,7 @@ def cloud_noise(x, y, seed, octaves):
 
 @kernel
 def cover(x, half, foot):
-    """
-    Share of a footprint of width ``foot`` around ``x`` that lies in [-half, half].
+    """Share of a footprint of width ``foot`` around ``x`` that lies in [-half, half].
 
     The exact box filter of a bar: the renderer's edges are smoothed with it instead of with more samples.
     """
@@ -80,8 +78,7 @@ def cover(x, half, foot):
 
 @kernel
 def stripes(x, period, width, foot):
-    """
-    Box-filtered share of bars of ``width`` that start at each multiple of ``period``.
+    """Box-filtered share of bars of ``width`` that start at each multiple of ``period``.
 
     Exact for any footprint: it is the difference of the bars' running integral.
     """

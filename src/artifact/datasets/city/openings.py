@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from .kernel import kernel
-from .lettering import DOTS, LENGTHS
-from .noise import cover, hash3, noise2, smooth, stripes
+from artifact.datasets.city.kernel import kernel
+from artifact.datasets.city.lettering import DOTS, LENGTHS
+from artifact.datasets.city.noise import cover, hash3, noise2, smooth, stripes
 
 
 @kernel
@@ -67,8 +67,7 @@ def _mullions(kind, x, y, half, height, fu, fz):
 
 @kernel
 def window(house, kind, x, y, half, height, key, fu, fz, light, r, g, b_):
-    """
-    Paint one window over a wall colour.
+    """Paint one window over a wall colour.
 
     ``x`` from the window's centre, ``y`` from its foot, ``key`` identifies it. Returns colour, emission, glass.
     """
@@ -84,7 +83,7 @@ def window(house, kind, x, y, half, height, key, fu, fz, light, r, g, b_):
         r += wing * (accent[0] * louvre - r)
         g += wing * (accent[1] * louvre - g)
         b_ += wing * (accent[2] * louvre - b_)
-    if kind != 6 and kind != 8:
+    if kind not in (6, 8):
         sill = cover(x, half + 0.1, fu) * cover(y + 0.06, 0.06, fz)
         under = cover(x, half + 0.1, fu) * cover(y + 0.19, 0.07, fz)
         r, g, b_ = r * (1 - 0.35 * under), g * (1 - 0.35 * under), b_ * (1 - 0.35 * under)

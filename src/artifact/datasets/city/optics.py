@@ -2,18 +2,15 @@
 
 import numpy as np
 
-from .kernel import kernel
-from .models import CARS
-from .noise import hash3, noise2
-from .view import SAMPLES, column_range, horizon_at, project, ray_of
-
-N_CARS = len(CARS)
+from artifact.datasets.city.kernel import kernel
+from artifact.datasets.city.models import N_CARS
+from artifact.datasets.city.noise import hash3, noise2
+from artifact.datasets.city.view import SAMPLES, column_range, horizon_at, project, ray_of
 
 
 @kernel
 def trace_shadows(view_record, light_record, things, models, surface, depth, blocked):
-    """
-    Mark ground that cars and other low things keep the sky and the sun from.
+    """Mark ground that cars and other low things keep the sky and the sun from.
 
     ``blocked``, uint8 (columns, rows, 2): the share of the sky (contact shadow) and of the sun (cast shadow), of 255.
     """
@@ -86,14 +83,13 @@ def _in_shadow(x, y, sx, sy, sz, half_x, half_y, top, car):
 
 
 @kernel
-def mirror_ground(view_record, light_record, depth, mirror, image):
-    """
-    Add mirror images to wet ground and water, in place.
+def mirror_ground(view_record, depth, mirror, image):
+    """Add mirror images to wet ground and water, in place.
 
     The ground is level, so what a ground point at row r mirrors lies in its own column: at the row as far above the
     horizon, lowered by the parallax of twice the camera's height at the mirrored point's depth.
     """
-    view, light = view_record[0], light_record[0]
+    view = view_record[0]
     rows, columns = mirror.shape
     focal = view.focal / SAMPLES
     source = image.copy()
@@ -131,7 +127,6 @@ def mirror_ground(view_record, light_record, depth, mirror, image):
             image[row, column, 0] += strength * (r / weight - 0.6 * image[row, column, 0])
             image[row, column, 1] += strength * (g / weight - 0.6 * image[row, column, 1])
             image[row, column, 2] += strength * (b / weight - 0.6 * image[row, column, 2])
-    return light.wet
 
 
 @kernel

@@ -4,8 +4,7 @@ import numpy as np
 
 
 def linear(code: str) -> tuple[float, float, float]:
-    """
-    Turn an sRGB colour code into linear light.
+    """Turn an sRGB colour code into linear light.
 
     >>> linear("ffffff")
     (1.0, 1.0, 1.0)
@@ -46,3 +45,8 @@ CLOTHES = _table(
 )
 OLD_CLOTHES = _table("1a1a1a", "2b2724", "3a352f", "4a453e", "151515", "6a6358")
 AWNING = _table("a3221f", "1f4e8c", "14603a", "d9b24a", "e6dcc3", "7a1f34", "d9582b", "4a4a46", "0f7a86")
+
+
+def choose(rng: np.random.Generator, table: np.ndarray) -> np.ndarray:
+    """Draw one row of a colour table and vary its brightness a little."""
+    return np.clip(table[rng.integers(len(table))] * rng.uniform(0.85, 1.12), 0.0, 0.95)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from .kernel import kernel
-from .noise import hash3, noise3
-from .trace import LEAF, THING
-from .view import column_range, horizon_at, ray_of
+from artifact.datasets.city.kernel import kernel
+from artifact.datasets.city.noise import hash3, noise3
+from artifact.datasets.city.trace import LEAF, THING
+from artifact.datasets.city.view import column_range, horizon_at, ray_of
 
 LEAF_REACH = 330.0  # metres
 NEAR = 0.12
@@ -15,8 +15,7 @@ _RAILING = 10
 
 @kernel
 def trace_crowns(view_record, trees, shapes, blobs, foliage, surface, depth):
-    """
-    Draw the leaves of all trees into ``surface`` and ``depth``.
+    """Draw the leaves of all trees into ``surface`` and ``depth``.
 
     Each crown is a cluster of ellipsoids; where a ray only grazes one, noise fixed to the tree decides whether there is
     a leaf, which makes the outline ragged. ``foliage`` below one thins the leaves of all trees but spruces.

@@ -6,8 +6,7 @@ RGB = ("f8", (3,))
 
 
 def layout(**fields: object) -> np.dtype:
-    """
-    Describe a record: each field's name with its type, or with its type and shape.
+    """Describe a record: each field's name with its type, or with its type and shape.
 
     >>> layout(height="f8", wall=RGB).names
     ('height', 'wall')
@@ -18,8 +17,7 @@ def layout(**fields: object) -> np.dtype:
 
 
 def records(dtype: np.dtype, columns: dict[str, object]) -> np.ndarray:
-    """
-    Make an array of records from one sequence per field.
+    """Make an array of records from one sequence per field.
 
     >>> made = records(layout(x="f8", wall=RGB), {"x": [1, 2], "wall": [(0, 0, 0), (1, 1, 1)]})
     >>> made["wall"][1].tolist()

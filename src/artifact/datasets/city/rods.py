@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from .grids import look_up
-from .kernel import kernel
-from .lighting import beam_light, lamp_light
-from .noise import cover, hash3, smooth
-from .records import layout
-from .view import SAMPLES, column_range, project
+from artifact.datasets.city.grids import look_up
+from artifact.datasets.city.kernel import kernel
+from artifact.datasets.city.lighting import beam_light, lamp_light
+from artifact.datasets.city.noise import cover, hash3, smooth
+from artifact.datasets.city.records import layout
+from artifact.datasets.city.view import SAMPLES, column_range, project
 
 # One rod as it is drawn, with its colour already lit at both ends.
 PLACED_ROD = layout(
     x0="f8", y0="f8", z0="f8", x1="f8", y1="f8", z1="f8", r0="f8", r1="f8",
-    red="f8", green="f8", blue="f8", snow="f8", depth="f8",
+    red="f8", green="f8", blue="f8", snow="f8",
 )  # fmt: skip
 
 MOST_RODS = 24_000
@@ -24,10 +24,10 @@ _THING_REACH = 70.0
 
 
 @kernel
-def _add(rods, count, x0, y0, z0, x1, y1, z1, r0, r1, red, green, blue, snow, depth):
+def _add(rods, count, x0, y0, z0, x1, y1, z1, r0, r1, red, green, blue, snow):
     rod = rods[count]
     rod.x0, rod.y0, rod.z0, rod.x1, rod.y1, rod.z1, rod.r0, rod.r1 = x0, y0, z0, x1, y1, z1, r0, r1
-    rod.red, rod.green, rod.blue, rod.snow, rod.depth = red, green, blue, snow, depth
+    rod.red, rod.green, rod.blue, rod.snow = red, green, blue, snow
     return count + 1
 
 
@@ -58,7 +58,7 @@ def collect_tree_rods(view_record, light_record, trees, shapes, limbs, rods, cou
                 rods, count, tree.x + cos * limb.x0 - sin * limb.y0, tree.y + sin * limb.x0 + cos * limb.y0,
                 limb.z0 * tree.size, tree.x + cos * limb.x1 - sin * limb.y1, tree.y + sin * limb.x1 + cos * limb.y1,
                 limb.z1 * tree.size, limb.r0 * tree.size * thicker, limb.r1 * tree.size * thicker, red, green, blue,
-                0.0 if leafy else 1.0, 0.0,
+                0.0 if leafy else 1.0,
             )  # fmt: skip
     return count
 
@@ -82,7 +82,7 @@ def collect_thing_rods(view_record, things, models, model_rods, rods, count):
             rod = model_rods[q]
             if count >= len(rods):
                 break
-            red, green, blue = 0.03, 0.03, 0.032
+            red, green, blue = 0.03, 0.03, 0.032  # dark, unless paint, steel, wood or skin (see polyhedra.Surface)
             if rod.surface == 0:
                 red, green, blue = thing.colour[0], thing.colour[1], thing.colour[2]
             elif rod.surface == 3:
@@ -96,7 +96,7 @@ def collect_thing_rods(view_record, things, models, model_rods, rods, count):
             count = _add(
                 rods, count, thing.x + cos * ax - sin * ay, thing.y + sin * ax + cos * ay,
                 thing.z + rod.start[2] * thing.scale[2], thing.x + cos * bx - sin * by, thing.y + sin * bx + cos * by,
-                thing.z + rod.end[2] * thing.scale[2], rod.r0, rod.r1, red, green, blue, 0.0, 0.0,
+                thing.z + rod.end[2] * thing.scale[2], rod.r0, rod.r1, red, green, blue, 0.0,
             )  # fmt: skip
     return count
 
@@ -131,8 +131,7 @@ def _lit(view, light, world, shade, lamps, table, x, y, z):
 
 @kernel
 def draw_rods(view_record, light_record, world_record, shade, lamps, table, rods, order, depth, image):
-    """
-    Blend rods over ``image``, float32 (rows, columns, 3) in pixels, in the given order (farthest first).
+    """Blend rods over ``image``, float32 (rows, columns, 3) in pixels, in the given order (farthest first).
 
     A rod covers a pixel by the share of its width that falls in it, and shows in as many of the pixel's samples as lie
     behind it, so that hair-thin twigs and wires neither flicker nor break.

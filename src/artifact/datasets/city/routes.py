@@ -1,12 +1,13 @@
 """Where cameras go: drives along named junctions, the railway, every street of the town, or scattered places."""
 
+import itertools
 import re
 from dataclasses import dataclass
 
 import numpy as np
 
-from .grids import roof_at
-from .streets import (
+from artifact.datasets.city.grids import roof_at
+from artifact.datasets.city.streets import (
     COLUMN_NAMES,
     DRIVE_OFFSET,
     N_COLUMNS,
@@ -19,7 +20,7 @@ from .streets import (
     meet,
     resample,
 )
-from .view import Pose
+from artifact.datasets.city.view import Pose
 
 RAILWAY, STREETS, PLACES = "railway", "all streets", "places"
 _STEP = 0.25  # metres between the points of a path
@@ -53,13 +54,12 @@ class Path:
 
 
 def junctions_of(route: str) -> list[tuple[int, int]]:
-    """
-    Read a route such as ``A2-D2-D4`` and list every junction on it.
+    """Read a route such as ``A2-D2-D4`` and list every junction on it.
 
     Raises
     ------
     ValueError
-        If the route is not a chain of junctions, or a leg does not follow a street.
+        If the route is not a chain of junctions, or a leg does not follow a street or turns round in it.
 
     Examples
     --------
@@ -79,15 +79,21 @@ def junctions_of(route: str) -> list[tuple[int, int]]:
             raise ValueError(
                 f"route {route!r}: the leg to {name} does not follow a street (same letter or same number)"
             )
+        if len(found) > 1 and _towards(a, b) == _towards(a, found[-2]):
+            raise ValueError(f"route {route!r}: the leg to {name} turns round in the street")
         while found[-1] != b:
-            i, j = found[-1]
-            found.append((i + int(np.sign(b[0] - i)), j + int(np.sign(b[1] - j))))
+            step = _towards(found[-1], b)
+            found.append((found[-1][0] + step[0], found[-1][1] + step[1]))
     return found
 
 
+def _towards(a: tuple[int, int], b: tuple[int, int]) -> tuple[int, int]:
+    """Direction from one junction to another, each coordinate -1, 0 or 1."""
+    return int(np.sign(b[0] - a[0])), int(np.sign(b[1] - a[1]))
+
+
 def drive_path(plan: Plan, route: str, lateral: str) -> Path:
-    """
-    Lay a path along a route: in the right lane or on the right pavement, with rounded corners.
+    """Lay a path along a route: in the right lane or on the right pavement, with rounded corners.
 
     Parameters
     ----------
@@ -97,14 +103,14 @@ def drive_path(plan: Plan, route: str, lateral: str) -> Path:
     stops = junctions_of(route)
     offsets, radius = (DRIVE_OFFSET, 8.0) if lateral == "lane" else (WALK_OFFSET, 1.2)
     corners = [plan.junctions[stop] for stop in stops]
-    kinds = [plan.kind(a, b) for a, b in zip(stops, stops[1:], strict=False)]
+    kinds = [plan.kind(a, b) for a, b in itertools.pairwise(stops)]
     lines = []
     for p, q, kind in zip(corners, corners[1:], kinds, strict=False):
         u = (q - p) / np.linalg.norm(q - p)
         shift = offsets[kind] * np.array([u[1], -u[0]])
         lines.append((p + shift, q + shift, u))
     vertices = [lines[0][0]]
-    for (_, end, u), (start, _, v) in zip(lines, lines[1:], strict=False):
+    for (_, end, u), (start, _, v) in itertools.pairwise(lines):
         straight = abs(u[0] * v[1] - u[1] * v[0]) < 0.02
         vertices.append((end + start) / 2 if straight else meet(end, u, start, v))
     vertices.append(lines[-1][1])
@@ -141,8 +147,7 @@ def railway_path(track: np.ndarray) -> Path:
 
 
 def street_poses(plan: Plan, spacing: float) -> list[Pose]:
-    """
-    Stand in the right lane of every street of the town, every ``spacing`` metres, once in each direction.
+    """Stand in the right lane of every street of the town, every ``spacing`` metres, once in each direction.
 
     The order follows the streets, first all rows, then all columns; each place is seen forwards, then backwards.
     """
@@ -161,11 +166,10 @@ def street_poses(plan: Plan, spacing: float) -> list[Pose]:
 
 
 def place_poses(plan: Plan, buildings: np.ndarray, count: int) -> list[Pose]:
-    """
-    Choose places all over the town, and a view worth a photograph at each.
+    """Choose places all over the town, and a view worth a photograph at each.
 
-    Each pose stands on a pavement or a quay and looks obliquely across its street; it keeps its distance from walls, and
-    from the other places unless it looks another way.
+    Each pose stands on a pavement or a quay and looks obliquely across its street; it keeps its distance from walls,
+    and from the other places unless it looks another way.
     """
     rng = np.random.default_rng([plan.seed, 21])
     corners = buildings["corners"]

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from .fragments import K_SKY
-from .kernel import kernel
-from .noise import cloud_noise, noise2, smooth
+from artifact.datasets.city.fragments import K_SKY
+from artifact.datasets.city.kernel import kernel
+from artifact.datasets.city.noise import cloud_noise, noise2, smooth
 
 
 @kernel

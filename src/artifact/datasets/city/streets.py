@@ -5,7 +5,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from .records import layout, records
+from artifact.datasets.city.records import layout, records
 
 N_COLUMNS, N_ROWS = 7, 6
 COLUMN_NAMES = "ABCDEFG"
@@ -62,14 +62,12 @@ class Block:
 
     corners: np.ndarray
     place: tuple[int, int]
-    sides: tuple[Kind, Kind, Kind, Kind]
     outer: bool = False
 
 
 @dataclass(frozen=True)
 class Plan:
-    """
-    Junctions, kinds of street, and what follows from them.
+    """Junctions, kinds of street, and what follows from them.
 
     Attributes
     ----------
@@ -96,8 +94,7 @@ class Plan:
 
 
 def make_plan(seed: int) -> Plan:
-    """
-    Draw the plan of town ``seed``.
+    """Draw the plan of town ``seed``.
 
     Each town has the same topology, a grid of 7 by 6 streets, so that a route such as ``A2-D2-D4`` exists in every
     one; distances, bends and kinds of street are its own.
@@ -154,8 +151,7 @@ def street_pieces(plan: Plan, track: np.ndarray, paths: list[tuple[np.ndarray, n
 
 
 def meet(p: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """
-    Point where the line through ``p`` along ``u`` meets the line through ``q`` along ``v``.
+    """Point where the line through ``p`` along ``u`` meets the line through ``q`` along ``v``.
 
     >>> import numpy as np
     >>> meet(np.array([0.0, 1.0]), np.array([1.0, 0.0]), np.array([3.0, 0.0]), np.array([0.0, 1.0]))
@@ -167,8 +163,7 @@ def meet(p: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarr
 
 
 def inset(corners: np.ndarray, distances: tuple[float, ...] | np.ndarray) -> np.ndarray:
-    """
-    Move each side of a counter-clockwise convex polygon inwards by its own distance.
+    """Move each side of a counter-clockwise convex polygon inwards by its own distance.
 
     Parameters
     ----------
@@ -198,7 +193,7 @@ def blocks(plan: Plan) -> list[Block]:
             ring = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
             sides = tuple(plan.kind(ring[k], ring[(k + 1) % 4]) for k in range(4))
             corners = np.array([plan.junctions[c] for c in ring])
-            found.append(Block(inset(corners, TOTAL_HALF[list(sides)]), (i, j), sides))
+            found.append(Block(inset(corners, TOTAL_HALF[list(sides)]), (i, j)))
     return found + _outer_blocks(plan)
 
 
@@ -218,13 +213,12 @@ def _outer_blocks(plan: Plan) -> list[Block]:
         # A trim at both ends keeps neighbouring strips apart where the outline bends outwards or inwards.
         p, q = p + 3.0 * along, q - 3.0 * along
         corners = np.array([q + near * outwards, p + near * outwards, p + far * outwards, q + far * outwards])
-        found.append(Block(corners, a, (Kind.STREET,) * 4, outer=True))
+        found.append(Block(corners, a, outer=True))
     return found
 
 
 def railway(plan: Plan, spacing: float) -> np.ndarray:
-    """
-    Return the closed track around the town as points ``spacing`` metres apart, shape (n, 2), counter-clockwise.
+    """Return the closed track around the town as points ``spacing`` metres apart, shape (n, 2), counter-clockwise.
 
     A rounded rectangle with slow bends, so that no two stretches of line look into the same distance.
     """
@@ -255,8 +249,7 @@ def railway(plan: Plan, spacing: float) -> np.ndarray:
 
 
 def resample(points: np.ndarray, spacing: float) -> np.ndarray:
-    """
-    Return points at equal distances along a polyline, from its first point to its last.
+    """Return points at equal distances along a polyline, from its first point to its last.
 
     >>> import numpy as np
     >>> resample(np.array([[0.0, 0], [1, 0], [1, 1]]), 0.5).tolist()

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from .fragments import K_LEAF, K_ROOF, K_THING
-from .kernel import kernel
-from .models import CARS
-from .noise import cloud_noise, hash3, noise2, noise3, smooth, stripes
-from .trace import BUILDING, LEAF, THING
-from .view import SAMPLES
+from artifact.datasets.city.fragments import K_LEAF, K_ROOF, K_THING
+from artifact.datasets.city.kernel import kernel
+from artifact.datasets.city.models import N_CARS
+from artifact.datasets.city.noise import cloud_noise, hash3, noise2, noise3, smooth, stripes
+from artifact.datasets.city.trace import BUILDING, LEAF, THING
+from artifact.datasets.city.view import SAMPLES
 
 LEAF_GREEN = np.array(
     [
@@ -19,7 +19,6 @@ LEAF_GREEN = np.array(
         [0.058, 0.105, 0.022],
     ]
 )
-N_CARS = len(CARS)
 HEDGE = 6
 
 

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .buildings import Building, as_records, historical
-from .country import country_buildings
-from .furnish import Furniture, furnish, park_paths
-from .grids import (
+from artifact.datasets.city.buildings import Building, as_records
+from artifact.datasets.city.country import country_buildings
+from artifact.datasets.city.furnish import Furniture, furnish, park_paths
+from artifact.datasets.city.grids import (
     BUILDING_CELL,
     HEIGHT_CELL,
     LAMP_CELL,
@@ -26,12 +26,12 @@ from .grids import (
     street_table,
     zone_map,
 )
-from .lots import Site, Zone, build_sites, canal_walls
-from .records import layout, record
-from .streets import MARGIN, Plan, inset, make_plan, railway, street_pieces
-from .trees import tree_shapes
+from artifact.datasets.city.houses import historical
+from artifact.datasets.city.lots import Site, Zone, build_sites, canal_walls
+from artifact.datasets.city.records import layout, record
+from artifact.datasets.city.streets import MARGIN, Plan, inset, make_plan, railway, street_pieces
+from artifact.datasets.city.trees import tree_shapes
 
-ERAS = ("today", "past")
 LAMP_REACH = 24.0  # metres
 
 WORLD = layout(west="f8", south="f8", seed="f8")
@@ -39,8 +39,7 @@ LAMP = layout(x="f8", y="f8", z="f8", power="f8", tone="f8")
 
 
 class Scene(NamedTuple):
-    """
-    Everything of a town that compiled code reads: records, and tables of what is near each cell of a grid.
+    """Everything of a town that compiled code reads: records, and tables of what is near each cell of a grid.
 
     Attributes
     ----------
@@ -91,8 +90,7 @@ def extent_of(plan: Plan) -> Extent:
 
 @lru_cache(maxsize=4)
 def make_town(seed: int, era: str = "today") -> Town:
-    """
-    Build town ``seed`` as it is today or was in the past; about a second, kept for the last few towns.
+    """Build town ``seed`` as it is today or was in the past; about a second, kept for the last few towns.
 
     Parameters
     ----------
@@ -138,8 +136,7 @@ def _scene(plan: Plan, streets: np.ndarray, buildings: np.ndarray, sites: list[S
 
 @lru_cache(maxsize=3)
 def shade_map(seed: int, era: str, azimuth: float, elevation: float) -> np.ndarray:
-    """
-    Shadow heights of roofs and crowns and the share of sky seen, float32 (rows, columns, 3), for a sun in degrees.
+    """Shadow heights of roofs and crowns and the share of sky seen, float32 (rows, columns, 3), for a sun in degrees.
 
     The last few maps are kept: every frame of a traversal needs the same one.
     """

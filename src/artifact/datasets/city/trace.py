@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from .grids import BUILDING_CELL
-from .kernel import kernel
-from .view import horizon_at, ray_of
+from artifact.datasets.city.grids import BUILDING_CELL
+from artifact.datasets.city.kernel import kernel
+from artifact.datasets.city.view import horizon_at, ray_of
 
 # Codes of surfaces. Building b: BUILDING + 16 b + side (0-3), or + 4 + side for a roof plane, or + 8 for a flat roof.
 SKY = -1
@@ -118,8 +118,7 @@ def _wall_rise(view, house, side, t0, dx, dy):
 
 @kernel
 def _roof_piece(view, house, t, t1, dx, dy):
-    """
-    Find the plane that is the roof just beyond depth ``t`` along a ray.
+    """Find the plane that is the roof just beyond depth ``t`` along a ray.
 
     Returns the plane (4: the flat cap), its height at depth 0, its rise per depth, and the depth where it ends.
     """
@@ -165,8 +164,7 @@ def _roof(view, house, t0, t1, dx, dy, horizon, filled, surface, depth, code):
 
 @kernel
 def trace_columns(view_record, world_record, buildings, table, surface, depth):
-    """
-    Fill ``surface`` (int32) and ``depth`` (float32), both (columns, rows), with ground, buildings and sky.
+    """Fill ``surface`` (int32) and ``depth`` (float32), both (columns, rows), with ground, buildings and sky.
 
     In a column all rays lie in one vertical plane, so the prisms are met in the plane, nearest first, and each one
     covers the rows above what nearer ones have covered.

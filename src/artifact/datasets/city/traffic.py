@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import palette
-from .buildings import choose
-from .models import CARS, ThingList
-from .streets import DRIVE_OFFSET, Kind
+from artifact.datasets.city import palette
+from artifact.datasets.city.models import CARS, ThingList
+from artifact.datasets.city.palette import choose
+from artifact.datasets.city.streets import DRIVE_OFFSET, Kind
 
 REACH = 110.0  # metres around the camera
 
@@ -54,8 +54,7 @@ def standing(parking: np.ndarray, pavements: np.ndarray, crowd: Crowd, seed: int
 
 
 def moving(path: object, travelled: float, crowd: Crowd, seed: int) -> np.ndarray:
-    """
-    Draw the cars on the road when the camera has driven ``travelled`` metres, as records ``THING``.
+    """Draw the cars on the road when the camera has driven ``travelled`` metres, as records ``THING``.
 
     Oncoming cars drive the same path backwards on the other side; now and then a car drives ahead of the camera.
     """

@@ -5,20 +5,30 @@ from functools import lru_cache
 
 import numpy as np
 
-from .conditions import CONDITIONS
-from .frame import Mood, Traced, expose, light_of, near_things, shade, trace
-from .models import CARS
-from .routes import PLACES, RAILWAY, STREETS, Path, drive_path, junctions_of, place_poses, railway_path, street_poses
-from .town import Town, make_town
-from .trace import BUILDING, LEAF
-from .traffic import Crowd, moving, standing
-from .view import CAMERAS, Camera, Pose
+from artifact.datasets.city.conditions import CONDITIONS
+from artifact.datasets.city.frame import Mood, Traced, expose, light_of, near_things, shade, trace
+from artifact.datasets.city.models import N_CARS
+from artifact.datasets.city.routes import (
+    PLACES,
+    RAILWAY,
+    STREETS,
+    Path,
+    drive_path,
+    junctions_of,
+    place_poses,
+    railway_path,
+    street_poses,
+)
+from artifact.datasets.city.town import Town, make_town
+from artifact.datasets.city.trace import BUILDING, LEAF
+from artifact.datasets.city.traffic import Crowd, moving, standing
+from artifact.datasets.city.view import CAMERAS, Camera, Pose
+from artifact.datasets.city.warm_up import compile_finishing, second_compiler
 
 
 @dataclass(frozen=True)
 class CityTraversal:
-    """
-    Everything that determines the images and positions of one rendered traversal.
+    """Everything that determines the images and positions of one rendered traversal.
 
     Attributes
     ----------
@@ -116,8 +126,7 @@ def _path(town: int, route: str, lateral: str) -> Path:
 
 @lru_cache(maxsize=16)
 def poses(traversal: CityTraversal) -> tuple[tuple[Pose, ...], tuple[float, ...]]:
-    """
-    Poses of all frames, and the metres travelled at each.
+    """Poses of all frames, and the metres travelled at each.
 
     Raises
     ------
@@ -145,8 +154,8 @@ def poses(traversal: CityTraversal) -> tuple[tuple[Pose, ...], tuple[float, ...]
         if travelled[-1] > path.length:
             fit = int((path.length - traversal.start) / traversal.spacing)
             raise ValueError(
-                f"route {traversal.route!r} of town {traversal.town} is {path.length:.0f} m long: from {traversal.start:g} m "
-                f"at {traversal.spacing:g} m spacing it has room for {fit} frames, not {n}"
+                f"route {traversal.route!r} of town {traversal.town} is {path.length:.0f} m long: from "
+                f"{traversal.start:g} m at {traversal.spacing:g} m spacing it has room for {fit} frames, not {n}"
             )
         ideal = [Pose(*path.at(s)[:3]) for s in travelled]
     made = tuple(
@@ -183,8 +192,7 @@ def _snapshots(places: list[Pose], wander: float, rng: np.random.Generator) -> l
 
 
 def positions(traversal: CityTraversal) -> np.ndarray:
-    """
-    Position of every image, without rendering.
+    """Position of every image, without rendering.
 
     Returns
     -------
@@ -236,7 +244,7 @@ def trace_frame(traversal: CityTraversal, index: int) -> Traced:
     camera: Camera = CAMERAS[traversal.camera]
     # A car that stands where the camera drives would hide everything: it has moved on. A photographer waits longer.
     room = 6.5 if camera.lateral == "free" else 2.6
-    low = (things["z"] < 1.0) & (things["model"] < len(CARS) + 1)
+    low = (things["z"] < 1.0) & (things["model"] <= N_CARS)
     things = things[(np.hypot(things["x"] - pose.x, things["y"] - pose.y) > room) | ~low]
     if path is not None and camera.lateral == "lane":
         things = np.concatenate([things, moving(path, travelled[index], _crowd(traversal), traversal.seed)])
@@ -244,8 +252,7 @@ def trace_frame(traversal: CityTraversal, index: int) -> Traced:
 
 
 def render_frame(traversal: CityTraversal, index: int) -> np.ndarray:
-    """
-    Render one image of a traversal.
+    """Render one image of a traversal.
 
     The result depends on the traversal and the index only, not on what was rendered before or in which thread.
 
@@ -274,4 +281,7 @@ def visible_buildings(traversal: CityTraversal, index: int) -> np.ndarray:
 
 def prepare(traversal: CityTraversal) -> None:
     """Build and compile everything that the frames of a traversal share, before several threads want it at once."""
+    with second_compiler():
+        trace_frame(traversal, 0)
+        compile_finishing()
     render_frame(traversal, 0)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .records import layout, records
+from artifact.datasets.city.records import layout, records
 
 
 class Species(IntEnum):

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .kernel import kernel
-from .records import layout, record
+from artifact.datasets.city.kernel import kernel
+from artifact.datasets.city.records import layout, record
 
 WIDTH, HEIGHT = 320, 240  # pixels of every image
 SAMPLES = 2  # samples per pixel along each axis
@@ -13,8 +13,7 @@ SAMPLES = 2  # samples per pixel along each axis
 
 @dataclass(frozen=True)
 class Camera:
-    """
-    A camera and how it is carried.
+    """A camera and how it is carried.
 
     Attributes
     ----------
@@ -84,8 +83,7 @@ class Pose:
 
 
 def make_view(camera: Camera, pose: Pose) -> np.ndarray:
-    """
-    Set up the projection of a camera at a pose, as one record ``VIEW``.
+    """Set up the projection of a camera at a pose, as one record ``VIEW``.
 
     Small pitch and roll are shifts and shears of the horizon, so that upright lines stay upright.
     """

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from .traversal import CityTraversal, positions, prepare, render_frame
+from artifact.datasets.city.traversal import CityTraversal, positions, prepare, render_frame
 
 JPEG_QUALITY = 90
 
@@ -23,8 +23,7 @@ def render(
     workers: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> None:
-    """
-    Render all images of a traversal to ``folder``: ``000000.jpg`` ... and ``positions.csv``.
+    """Render all images of a traversal to ``folder``: ``000000.jpg`` ... and ``positions.csv``.
 
     Works in a temporary folder beside the target and renames it at the end, so that a run that is stopped leaves
     nothing that looks complete. The bytes do not depend on the number of workers.
