@@ -42,5 +42,5 @@ def appearance(key: str) -> np.ndarray | None:
 
 
 def _sidecars() -> Iterator[tuple[Path, dict[str, Any]]]:
-    for path in sorted(folder().glob("*/*.npy")):
+    for path in sorted(folder().glob("*/[!.]*.npy")):  # a hidden file is one being written
         yield path, json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))

@@ -23,8 +23,8 @@ def prepare(image: Image.Image, preprocessing: Preprocessing) -> torch.Tensor:
     size = target_size(image.height, image.width, preprocessing)
     if preprocessing.library == "pillow" and size != (image.height, image.width):
         image = image.resize(size[::-1], _PILLOW_FILTERS[preprocessing.interpolation])
-    array = np.asarray(image)
-    tensor = torch.from_numpy(array.reshape(image.height, image.width, -1).copy()).permute(2, 0, 1).float() / 255
+    array = np.asarray(image).reshape(image.height, image.width, -1)
+    tensor = torch.from_numpy(np.ascontiguousarray(array.transpose(2, 0, 1))).float().div_(255)
     if preprocessing.library == "tensor" and tuple(tensor.shape[-2:]) != size:
         tensor = functional.interpolate(
             tensor[None],
@@ -35,7 +35,7 @@ def prepare(image: Image.Image, preprocessing: Preprocessing) -> torch.Tensor:
         )[0]
     tensor = _centre_crop(tensor, preprocessing.crop_to_multiple_of)
     mean, std = (torch.tensor(v, dtype=torch.float32).view(-1, 1, 1) for v in (preprocessing.mean, preprocessing.std))
-    return ((tensor - mean) / std).contiguous()
+    return tensor.sub_(mean).div_(std).contiguous()
 
 
 def target_size(height: int, width: int, preprocessing: Preprocessing) -> tuple[int, int]:
