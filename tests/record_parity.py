@@ -32,15 +32,23 @@ def outputs(name):
     batch = images(method.size, method.size)
     if name == "anyloc":
         model = filled(method.build, unused_by_anyloc)
-        yield "descriptors, every 16th value", vlad(model.features(batch), model.c_centers)[:, ::16], expected[
-            "descriptors_every_16th"
-        ], UNIT
+        yield (
+            "descriptors, every 16th value",
+            vlad(model.features(batch), model.c_centers)[:, ::16],
+            expected["descriptors_every_16th"],
+            UNIT,
+        )
         return
     model = filled(method.build)
     if name == "selavpr":
         descriptors, local = model.global_and_local(batch)
         yield "descriptors", descriptors, expected["descriptors"], UNIT
-        yield "local features, every 64th", local.reshape(2, -1, 128)[:, ::64], expected["local_every_64th"], (1e-5, None)
+        yield (
+            "local features, every 64th",
+            local.reshape(2, -1, 128)[:, ::64],
+            expected["local_every_64th"],
+            (1e-5, None),
+        )
     elif name == "selavprpp":
         descriptors, values = model.descriptors_and_hash_values(batch)
         yield "descriptors", descriptors, expected["descriptors"], UNIT

@@ -29,7 +29,9 @@ def described(
     for traversal in ("day", "night", *extra):
         values = code + noise * rng.standard_normal((n, d)) + sides[traversal] * push * np.sqrt(d) * direction
         values = (values / np.linalg.norm(values, axis=1, keepdims=True)).astype(np.float32)
-        found[traversal] = Descriptors(values, f"{name} {traversal}", f"{name} {traversal} {push} {seed} {n}", "images", {})
+        found[traversal] = Descriptors(
+            values, f"{name} {traversal}", f"{name} {traversal} {push} {seed} {n}", "images", {}
+        )
         traversals[traversal] = _traversal(traversal, positions.copy())
     dataset = Dataset(name, name.capitalize(), "day→night", threshold, "metres", traversals, "day", "night", True)
     return Described(dataset, METHOD, found)

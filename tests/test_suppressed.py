@@ -38,7 +38,9 @@ def by_hand(one, region, transform=None):
 
 def test_the_table_holds_what_fitting_and_evaluating_by_hand_give(made):
     manifest, one = made
-    table = studies.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=5).table.set_index("suppression")
+    table = studies.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=5).table.set_index(
+        "suppression"
+    )
     region = suppressed.split_of(one, 0.1)
     X, condition = suppressed.fitting_data(one, region)
     assert (condition == 0).sum() == len(region.fit_queries) == table.loc["original", "fitted_queries"]
@@ -51,7 +53,9 @@ def test_the_table_holds_what_fitting_and_evaluating_by_hand_give(made):
 
 def test_suppression_undoes_a_condition_that_is_one_direction(made):
     manifest, _ = made
-    table = studies.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=5).table.set_index("suppression")
+    table = studies.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=5).table.set_index(
+        "suppression"
+    )
     assert table.loc["original", "DAR"] < 5
     assert table.loc["original", "probe"] > 99
     for name in ("INLP", "LEACE"):

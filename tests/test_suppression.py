@@ -328,6 +328,8 @@ def test_views_equal_transforming_the_descriptors_first(similarity, device, monk
     inlp, leace = INLP(n_iterations=6).fit(X, condition), LEACE().fit(X, condition)
     views = {"inlp": inlp, "inlp at 2": inlp.at(2), "leace": leace, "both": compose(leace, inlp)}
     result = evaluate(queries, database, where, where, 1.0, views=views, similarity=similarity, retrieve=5)
+    bare = evaluate(queries, database, where, where, 1.0, views=views, similarity=similarity)
+    swept = evaluate(queries, database, where, where, 1.0, views=views, similarity=similarity, view_sweeps=True)
     for name, view in views.items():
         q, c = (view.transform(x) for x in (queries, database))
         alone = _without_unit_length_check(monkeypatch, q, c, where, similarity)
@@ -336,7 +338,13 @@ def test_views_equal_transforming_the_descriptors_first(similarity, device, monk
         np.testing.assert_array_equal(seen.ranks(distractors=False), alone.ranks(distractors=False))
         np.testing.assert_array_equal(seen.ranks(distractors=True), alone.ranks(distractors=True))
         np.testing.assert_array_equal(seen.retrieved(5, distractors=True)[0], alone.retrieved(5, distractors=True)[0])
-        np.testing.assert_allclose(seen.dar_by_distance([1, 5, np.inf]), alone.dar_by_distance([1, 5, np.inf]))
+        np.testing.assert_array_equal(bare[name].ranks(distractors=True), alone.ranks(distractors=True))
+        np.testing.assert_array_equal(bare[name].distractor_counts.ties, alone.distractor_counts.ties)
+        np.testing.assert_allclose(swept[name].dar_by_distance([1, 5, np.inf]), alone.dar_by_distance([1, 5, np.inf]))
+        np.testing.assert_allclose(swept[name].dar_by_ratio_draws([0.3]), alone.dar_by_ratio_draws([0.3]))
+        with pytest.raises(ValueError, match="pass view_sweeps=True"):
+            bare[name].dar_by_distance([1, 5])
+    assert bare.dar_by_distance([1.0]) == pytest.approx(bare.dar())
     assert result["leace"].dar() > result.dar() + 0.2
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 SCRIPT = "tex-svg.js"
 UNWANTED = re.compile(
     r'<link rel="preload" as="font"[^>]*>\s*'
-    r'|<link [^>]*sphinx-thebe[^>]*>\s*'
-    r'|<script[^>]*sphinx-thebe[^>]*></script>\s*'
-    r'|<script>const THEBE_JS_URL.*?</script>\s*'
+    r"|<link [^>]*sphinx-thebe[^>]*>\s*"
+    r"|<script[^>]*sphinx-thebe[^>]*></script>\s*"
+    r"|<script>const THEBE_JS_URL.*?</script>\s*"
     r'|<script type="text/x-thebe-config">.*?</script>\s*',
     re.DOTALL,
 )

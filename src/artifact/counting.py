@@ -140,6 +140,35 @@ def database_rows(
 
 
 @njit(nogil=True, cache=True)
+def pool_counts(
+    tile, correction, scale, bias, offset, first_column, starts, near, best, beaters, ties
+):  # fmt: skip
+    """Count as :func:`pool_rows`, without lists: for views whose sweeps nobody asked for.
+
+    ``near[starts[i]:starts[i + 1]]`` are the pool images that query ``i`` may not use, ascending: everything is counted
+    and those few are taken back, so that no distance is computed.
+    """
+    columns = tile.shape[1]
+    similarity = np.empty(columns, np.float32)
+    nothing = np.empty(0, np.float32)
+    for row in range(tile.shape[0]):
+        _similarities(tile[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
+        query = offset + row
+        level = best[query]
+        above, equal = 0, 0
+        for column in range(columns):
+            above += similarity[column] > level
+            equal += similarity[column] == level
+        for entry in range(starts[query], starts[query + 1]):
+            column = near[entry] - first_column
+            if 0 <= column < columns:
+                above -= similarity[column] > level
+                equal -= similarity[column] == level
+        beaters[query] += above
+        ties[query] += equal
+
+
+@njit(nogil=True, cache=True)
 def _distances(here, pool_positions, begin, out):
     """Write the distances from one position to ``out.size`` pool images from ``begin`` on."""
     for place in range(out.size):

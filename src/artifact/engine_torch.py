@@ -63,6 +63,15 @@ class TorchEngine:
             self._send(pool_positions), threshold, self._send(orders), counts,
         )  # fmt: skip
 
+    def count_pool_only(
+        self, tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, near, counts: Counts,
+    ) -> None:  # fmt: skip
+        """Count without lists: ``counts`` has none."""
+        none = np.zeros((len(pool_positions), 0), np.int32)
+        self.count_pool(
+            tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, none, counts
+        )
+
     def _send(self, array: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(array).to(self._device)
 

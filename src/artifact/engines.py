@@ -1,6 +1,6 @@
 """Where the arithmetic of a ranking pass runs: NumPy and Numba on the CPU, or :mod:`artifact.engine_torch`.
 
-Both engines offer the same five operations on blocks of rows and columns; the schedule of the pass is in
+Both engines offer the same six operations on blocks of rows and columns; the schedule of the pass is in
 :mod:`artifact.ranking` and does not know which engine it drives.
 """
 
@@ -30,6 +30,7 @@ class Engine(Protocol):
     def transposed(self, tile: Any) -> Any: ...  # noqa: D102
     def count_database(self, *arguments: Any) -> None: ...  # noqa: D102
     def count_pool(self, *arguments: Any) -> None: ...  # noqa: D102
+    def count_pool_only(self, *arguments: Any) -> None: ...  # noqa: D102
 
 
 class CpuEngine:
@@ -87,6 +88,19 @@ class CpuEngine:
                 tile[rows], fix, scale, bias, offset + first, first_column, positions, pool_positions, threshold,
                 orders, earliest, counts.best, counts.beaters, counts.ties, counts.farthest, counts.first,
                 counts.top_similarity, counts.top_index,
+            ),
+            len(tile), correction,
+        )  # fmt: skip
+
+    def count_pool_only(
+        self, tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, near, counts: Counts,
+    ) -> None:  # fmt: skip
+        """See :func:`artifact.counting.pool_counts`."""
+        starts, images = near
+        self._by_rows(
+            lambda rows, fix, first: counting.pool_counts(
+                tile[rows], fix, scale, bias, offset + first, first_column, starts, images, counts.best, counts.beaters,
+                counts.ties,
             ),
             len(tile), correction,
         )  # fmt: skip

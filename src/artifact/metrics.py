@@ -230,6 +230,8 @@ class Evaluation:
     def _needed(self, k: int) -> np.ndarray:
         """How many distractors must beat the best positive to push it out of the top K; 0 if it is out already."""
         depth = self.distractor_counts.farthest.shape[1]
+        if depth == 0:
+            raise ValueError(f"view {self.view!r} was evaluated without its sweeps: pass view_sweeps=True to evaluate")
         if _checked_k(k) > depth:
             raise ValueError(f"k is {k}; this evaluation keeps sweeps for K up to {depth}: raise the option depth")
         return np.clip(k - self.database_counts.beaters, 0, k)
@@ -307,7 +309,7 @@ def evaluate(
     device
         ``None`` takes CUDA if there is any, else the CPU.
     **options
-        ``depth``, ``draws``, ``retrieve``, ``seed``, ``memory`` of :class:`artifact.ranking.Options`.
+        ``depth``, ``draws``, ``retrieve``, ``view_sweeps``, ``seed``, ``memory`` of :class:`artifact.ranking.Options`.
 
     Returns
     -------
@@ -382,8 +384,10 @@ def _options(similarity: str, device: Any, options: Mapping[str, Any]) -> Option
         raise ValueError(f"similarity is {similarity!r}; allowed: 'cosine', 'l2', 'dot'")
     lowest = {"depth": 1, "draws": 0, "retrieve": 0, "seed": 0, "memory": 2**20}
     for name, value in options.items():
+        if name == "view_sweeps" and isinstance(value, bool):
+            continue
         if name not in lowest:
-            raise TypeError(f"unknown option {name!r}; allowed: {', '.join(lowest)}")
+            raise TypeError(f"unknown option {name!r}; allowed: {', '.join([*lowest, 'view_sweeps'])}")
         if not _is_integer(value) or value < lowest[name]:
             raise ValueError(f"{name} is {value!r}; allowed: whole numbers from {lowest[name]}")
     return Options(similarity=similarity, device=device, **options)

@@ -51,6 +51,9 @@ class Options:
         Random orders of each pool, for the spread of the sweep over the number of distractors.
     retrieve
         Length of the stored retrieval lists; 0 stores none.
+    view_sweeps
+        Whether views offer the sweep over distance and the draws of the sweep over number too. They cost a view
+        several times what its counts cost.
     seed
         Seed of the random orders.
     memory
@@ -63,6 +66,7 @@ class Options:
     depth: int = 10
     draws: int = 10
     retrieve: int = 0
+    view_sweeps: bool = False
     seed: int = 0
     memory: int = 256 * 2**20
     device: Any = None
@@ -227,7 +231,9 @@ class _Pass:
         columns = _readings(database, self.transforms, options.similarity)
         counts = {view: Counts.empty(n, options.depth, 0, options.retrieve) for view in self.transforms}
         copies = 2 if len(self.transforms) > 1 else 1
-        step = max(1, min(_LARGEST_ROWS, options.memory // (4 * copies * len(database))))
+        # Every view reads the tile again: a smaller one stays nearer to the processor.
+        largest = _LARGEST_ROWS if copies == 1 else _LARGEST_ROWS // 4
+        step = max(1, min(largest, options.memory // (4 * copies * len(database))))
         for rows in _blocks(n, step):
             tile = self.engine.product(self.queries.descriptors, rows, database.descriptors, slice(0, len(database)))
             for view, column in columns.items():
@@ -242,10 +248,17 @@ class _Pass:
         options, n = self.options, len(self.queries)
         own = pool is self.queries
         columns = self.rows if own else _readings(pool, self.transforms, options.similarity)
-        counts = {view: Counts.empty(n, options.depth, options.draws, options.retrieve) for view in self.transforms}
+        bare = {view for view in self.transforms if view != ORIGINAL and not (options.view_sweeps or options.retrieve)}
+        counts = {
+            view: Counts.empty(n, 0, 0, 0)
+            if view in bare
+            else Counts.empty(n, options.depth, options.draws, options.retrieve)
+            for view in self.transforms
+        }
         for view in self.transforms:
             counts[view].best[:] = best[view]
         orders = draw_orders(len(pool), options)
+        near = positives_of(self.queries.positions, pool.positions, self.threshold) if bare else None
         copies = 4 if len(self.transforms) > 1 else 2
         step = max(1, min(_TILE_SIDE, math.isqrt(options.memory // (4 * copies))))
         for rows, cols, mirrored in _tiles(n, len(pool), step, symmetric=own):
@@ -254,16 +267,19 @@ class _Pass:
             for view, column in columns.items():
                 left = self.rows[view].left
                 correction = self.engine.correction(left[rows], column.right[cols])
-                self._count(tile, correction, column, rows, cols, pool, orders, counts[view])
+                kept = near if view in bare else orders
+                self._count(tile, correction, column, rows, cols, pool, kept, counts[view])
                 if turned is not None:
                     correction = self.engine.correction(left[cols], column.right[rows])
-                    self._count(turned, correction, column, cols, rows, pool, orders, counts[view])
+                    self._count(turned, correction, column, cols, rows, pool, kept, counts[view])
         return counts
 
-    def _count(self, tile, correction, column, rows, cols, pool, orders, counts) -> None:
-        self.engine.count_pool(
+    def _count(self, tile, correction, column, rows, cols, pool, kept, counts) -> None:
+        """Count with lists (``kept`` are the random orders) or without (``kept`` are the images too near)."""
+        count = self.engine.count_pool_only if isinstance(kept, tuple) else self.engine.count_pool
+        count(
             tile, correction, column.scale[cols], column.bias[cols], rows.start, cols.start,
-            self.queries.positions, pool.positions, self.threshold, orders, counts,
+            self.queries.positions, pool.positions, self.threshold, kept, counts,
         )  # fmt: skip
 
 
@@ -293,8 +309,13 @@ def _readings(
             if a.size and np.abs(remainder).max() <= _NEGLIGIBLE * max(np.abs(a).max(), np.abs(u).max()):
                 left_factor, right_factor = np.ascontiguousarray(a), np.ascontiguousarray(u)
         norms = np.maximum(squared + change, 0.0)
-        readings[view] = _Reading(left_factor, right_factor, *_scale_and_bias(norms, similarity))
+        readings[view] = _Reading(_padded(left_factor), _padded(right_factor), *_scale_and_bias(norms, similarity))
     return readings
+
+
+def _padded(factor: np.ndarray) -> np.ndarray:
+    """Add empty columns up to a multiple of 4: products of thin matrices of other widths take nearly twice the time."""
+    return np.pad(factor, ((0, 0), (0, -factor.shape[1] % 4)))
 
 
 def _scale_and_bias(squared: np.ndarray, similarity: Similarity) -> tuple[np.ndarray, np.ndarray]:
@@ -315,15 +336,24 @@ def squared_norms(descriptors: np.ndarray) -> np.ndarray:
 
 
 def _project(descriptors: np.ndarray, bases: list[np.ndarray]) -> Iterator[np.ndarray]:
-    """Yield the projection on each basis, from one product with all of them."""
+    """Yield the projection on each basis, from one product with all their different directions.
+
+    An orthogonal projection has the same directions on both sides, and the views of an INLP at several iterations share
+    theirs.
+    """
     if not bases:
         return
-    stacked = np.concatenate(bases, axis=1)
-    out = np.empty((len(descriptors), stacked.shape[1]), np.float32)
+    places: dict[bytes, int] = {}
+    chosen = [
+        [places.setdefault(column.tobytes(), len(places)) for column in np.ascontiguousarray(basis.T)]
+        for basis in bases
+    ]
+    directions = np.frombuffer(b"".join(places), np.float32).reshape(len(places), -1)
+    out = np.empty((len(descriptors), len(places)), np.float32)
     for rows in _blocks(len(descriptors), max(1, 2**23 // max(1, descriptors.shape[1]))):
-        np.matmul(descriptors[rows].astype(np.float32, copy=False), stacked, out=out[rows])
-    edges = np.cumsum([basis.shape[1] for basis in bases])
-    yield from np.split(out, edges[:-1], axis=1)
+        np.matmul(descriptors[rows].astype(np.float32, copy=False), directions.T, out=out[rows])
+    for columns in chosen:
+        yield np.ascontiguousarray(out[:, columns])
 
 
 def draw_orders(n: int, options: Options) -> np.ndarray:

@@ -48,11 +48,15 @@ def heat_maps(table: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> 
     for row, (column, (name, better, colours)) in zip(axes, _QUANTITIES.items(), strict=True):
         limit = max(10.0, float(np.nanmax(np.abs(table[column]))))
         for panel, suppressor in zip(row, suppressors, strict=True):
-            part = table[table["suppression"] == suppressor].pivot_table(index=names[1], columns=names[0], values=column)
+            part = table[table["suppression"] == suppressor].pivot_table(
+                index=names[1], columns=names[0], values=column
+            )
             _heat_map(panel, part.reindex(index=list(down), columns=list(across)).to_numpy(), limit, colours)
             panel.set_title(suppressor, fontsize=9, pad=3, loc="left")
         row[0].set_yticks(range(len(down)), list(down.values()))
-        row[0].set_title(f"{name.format(k=k)}, change in pp ({better})\n\n{suppressors[0]}", fontsize=9, pad=3, loc="left")
+        row[0].set_title(
+            f"{name.format(k=k)}, change in pp ({better})\n\n{suppressors[0]}", fontsize=9, pad=3, loc="left"
+        )
     for panel in axes[-1]:
         panel.set_xticks(range(len(across)), list(across.values()), rotation=40, ha="right")
     figure.tight_layout(h_pad=0.8, w_pad=0.6)

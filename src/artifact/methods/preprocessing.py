@@ -24,7 +24,7 @@ def prepare(image: Image.Image, preprocessing: Preprocessing) -> torch.Tensor:
     if preprocessing.library == "pillow" and size != (image.height, image.width):
         image = image.resize(size[::-1], _PILLOW_FILTERS[preprocessing.interpolation])
     array = np.asarray(image).reshape(image.height, image.width, -1)
-    tensor = torch.from_numpy(np.ascontiguousarray(array.transpose(2, 0, 1))).float().div_(255)
+    tensor = torch.from_numpy(array.transpose(2, 0, 1).copy()).float().div_(255)
     if preprocessing.library == "tensor" and tuple(tensor.shape[-2:]) != size:
         tensor = functional.interpolate(
             tensor[None],

@@ -42,7 +42,9 @@ def methods_of_the_paper(manifest: Manifest) -> pd.DataFrame:
                 "weights": state.status,
                 "weights_licence": entry.weights.licence if entry.weights else "–",
                 "terms": entry.weights.terms if entry.weights else "",
-                "how": "" if state.status == "present" else state.detail.replace(str(manifest.data_root), "<data root>"),
+                "how": ""
+                if state.status == "present"
+                else state.detail.replace(str(manifest.data_root), "<data root>"),
             }
         )
     return pd.DataFrame(rows, columns=COLUMNS)
