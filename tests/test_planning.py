@@ -272,3 +272,16 @@ def test_devices_and_precision_reach_extraction(project):
     done = subprocess.run(command, cwd=project, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 1
     assert done.stderr.startswith("error: device 'cuda:77': not on this machine")
+
+
+def test_recorded_times_are_kept_for_the_book(project, monkeypatch):
+    given = manifest.load(project / "data_manifest.yaml")
+    times = iter([timing.Timing(0.25, 0.01, 1e9, 1e8, "one image"), timing.Timing(None, None, None, None, "not timed")])
+    monkeypatch.setattr(timing, "time_method", lambda *_: next(times))
+    lines = list(timing.record(given, ["hog", "thumbnail"], CPU))
+    assert "0.25 s an image" in lines[0]
+    assert "not timed" in lines[1]
+    kept = timing.recorded(given)
+    assert kept["hog"]["seconds"] == 0.25
+    assert kept["thumbnail"]["seconds"] is None
+    assert kept["hog"]["device"] == "cpu"

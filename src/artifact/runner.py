@@ -24,7 +24,7 @@ import papermill
 from papermill.exceptions import PapermillExecutionError
 from tqdm import tqdm
 
-from artifact import datasets, extract, methods, parameters, store, weights
+from artifact import datasets, extract, methods, parameters, store, timing, weights
 from artifact.manifest import Manifest
 from artifact.notebook import NothingToShowError
 
@@ -299,6 +299,7 @@ def _shared_inputs(manifest: Manifest) -> dict[str, Any]:
     return {
         "sources": sources,
         "manifest": store.digest_of_file(manifest.path),
+        "timings": timing.recorded(manifest),
         "weights": {name: weights.state(name, entry).summary for name, entry in manifest.methods.items()},
         "versions": {name: version(name) for name in _RUN_WITH},
     }

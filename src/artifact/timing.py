@@ -11,22 +11,25 @@ import resource
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
 
-from artifact import local_features, methods, reading
-from artifact.manifest import MethodEntry
+from artifact import local_features, methods, reading, store
+from artifact.manifest import Manifest, MethodEntry
 
 if TYPE_CHECKING:
     import torch
 
 LIMIT_SECONDS = 300.0
+PHOTOGRAPH = (480, 640)
+"""Height and width in pixels of the photograph that recorded times are for."""
+
 _SLOW_SECONDS = 10.0  # an image that takes longer is timed once, without a warm-up
 _BATCH_SECONDS = 20.0  # a whole batch is timed if it is expected to take less
 _OVERHEAD = 600e6  # bytes that Python, PyTorch and a small model's activations take
@@ -98,6 +101,29 @@ def time_method(
     finally:
         process.kill()
         process.join()
+
+
+def record(manifest: Manifest, names: Sequence[str], device: torch.device) -> Iterator[str]:
+    """Time methods on a photograph of 480 × 640 pixels and keep what was measured for Table II; yields a line for each."""
+    path = record_path(manifest)
+    kept = recorded(manifest)
+    for name in names:
+        found = time_method(name, manifest.method(name), PHOTOGRAPH, device)
+        kept[name] = {"seconds": found.forward, "note": found.note, "device": str(device), "cores": os.cpu_count()}
+        store.write_json(path, kept)
+        took = "–" if found.forward is None else f"{found.forward:.3g} s an image"
+        yield f"{manifest.method(name).title}: {took} ({found.note})"
+
+
+def recorded(manifest: Manifest) -> dict[str, Any]:
+    """Return what :func:`record` kept on this machine, by method."""
+    path = record_path(manifest)
+    return store.read_json(path) if path.exists() else {}
+
+
+def record_path(manifest: Manifest) -> Path:
+    """Return the file that holds the recorded times."""
+    return store.cache_folder(manifest.path.parent) / "timings.json"
 
 
 def available_memory() -> float:

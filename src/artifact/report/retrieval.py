@@ -10,7 +10,7 @@ import pandas as pd
 from IPython.display import HTML
 
 from artifact import paper
-from artifact.manifest import Manifest, MethodEntry
+from artifact.manifest import Manifest
 from artifact.notebook import Page
 from artifact.protocol import Decision
 from artifact.report.common import interval, marks, number, table
@@ -208,10 +208,19 @@ def methods_table(frame: pd.DataFrame) -> HTML:
     return table(shown, numeric=["Dim", "Batch", "Images per second", "Busy %"], caption="Methods of this run.")
 
 
-def reported_methods_table(manifest: Manifest) -> HTML:
-    """Show the paper's Table II, with the input sizes that this artifact uses where the paper states none."""
+def reported_methods_table(manifest: Manifest, catalogue: pd.DataFrame) -> HTML:
+    """Show the paper's Table II, and what this artifact adds to it.
+
+    Parameters
+    ----------
+    manifest
+        Input size, batch and licence of each method.
+    catalogue
+        As from :func:`artifact.studies.methods_of_the_paper`: parameters, and whether the weights are here.
+    """
     frame = paper.reported("tab02")
     entries = [manifest.methods.get(name) for name in frame["method"]]
+    ours = catalogue.set_index("method").reindex(frame["method"])
     shown = pd.DataFrame(
         {
             "Method": frame["title"],
@@ -220,24 +229,16 @@ def reported_methods_table(manifest: Manifest) -> HTML:
             "Dim": frame["dimension"],
             "Train data": frame["train_data"],
             "Re-rank": frame["rerank"],
-            "Input (ours)": [input_in_words(e.preprocessing) if e else "–" for e in entries],
-            "Batch (ours)": [f"{e.batch_size}{' ‡' if e.batch_dependent else ''}" if e else "–" for e in entries],
-            "Code": [e.licence if e else "–" for e in entries],
-            "Weights": [_weights_terms(e) for e in entries],
+            "Input": [input_in_words(e.preprocessing) if e else "–" for e in entries],
+            "Batch": [f"{e.batch_size}{' ‡' if e.batch_dependent else ''}" if e else "–" for e in entries],
+            "Parameters (M)": ["–" if pd.isna(n) else f"{n / 1e6:.0f}" for n in ours["parameters"]],
+            "Seconds an image": ["–" if pd.isna(n) else f"{n:.3g}" for n in ours["seconds"]],
+            "Licence": ours["code_licence"].fillna("–").tolist(),
+            "Weights here": ours["weights"].fillna("–").tolist(),
         }
     )
-    note = (
-        "Reported by the paper; the last four columns are this artifact's: input, batch, licence of the code, licence and terms "
-        "of the weights. ‡ descriptors depend on the batch."
-    )
-    return table(shown, numeric=["Dim", "Batch (ours)"], caption=note)
-
-
-def _weights_terms(entry: MethodEntry | None) -> str:
-    """Licence of a method's weights, and what their owners ask."""
-    if entry is None or entry.weights is None:
-        return "–"
-    return f"{entry.weights.licence}; {entry.weights.terms}" if entry.weights.terms else entry.weights.licence
+    note = "Reported by the paper up to re-ranking; the columns after it are this artifact's. ‡ descriptors depend on the batch."
+    return table(shown, numeric=["Dim", "Batch", "Parameters (M)", "Seconds an image"], caption=note)
 
 
 def beside_reported(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> HTML:

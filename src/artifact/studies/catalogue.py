@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pandas as pd
 
-from artifact import methods, weights
+from artifact import methods, timing, weights
 from artifact.manifest import Manifest
 from artifact.methods import parity
 
 COLUMNS = [
-    "method", "title", "parameters", "dimension", "code_licence", "weights", "weights_licence", "terms", "how",
+    "method", "title", "parameters", "dimension", "seconds", "timed", "code_licence", "weights", "weights_licence", "terms", "how",
 ]  # fmt: skip
 
 
@@ -20,12 +20,13 @@ def methods_of_the_paper(manifest: Manifest) -> pd.DataFrame:
     -------
     pandas.DataFrame
         One row per method: ``method``, ``title``, ``parameters`` (counted without allocating them), ``dimension``,
+        ``seconds`` (of the model for an image, where ``make bench METHODS=all`` measured it) and ``timed`` (how),
         ``code_licence``, ``weights`` (present, missing, ...), ``weights_licence``, ``terms``, ``how`` (how to get what is
         missing).
     """
     import torch
 
-    rows = []
+    rows, times = [], timing.recorded(manifest)
     for name, entry in manifest.methods.items():
         if entry.kind != "paper" or entry.builder is not None:
             continue
@@ -38,6 +39,8 @@ def methods_of_the_paper(manifest: Manifest) -> pd.DataFrame:
                 "title": entry.title,
                 "parameters": sum(tensor.numel() for tensor in model.state_dict().values()),
                 "dimension": entry.dimension,
+                "seconds": times.get(name, {}).get("seconds"),
+                "timed": "{note}, {device}, {cores} cores".format(**times[name]) if name in times else "",
                 "code_licence": entry.licence,
                 "weights": state.status,
                 "weights_licence": entry.weights.licence if entry.weights else "–",
