@@ -18,6 +18,8 @@
 # route differ as real drives do: lateral offset, heading, exposure, frame phase, parked and moving cars. Six pairs mirror
 # the protocols of the paper's six datasets, so that all tables and figures have all their columns.
 #
+# ## What it is for
+#
 # Nothing measured on it says how a method performs in the world. It shows that the machinery works, and whether the
 # paper's claims hold in a place where the cause is known: only the rendering's condition changes.
 

@@ -40,6 +40,9 @@ page = page.only(chosen, described)
 display(report.label(page.label))
 figures.embeddings({described: one}, page.conditions(chosen), page.method_titles)
 
+# %% [markdown]
+# ## How mixed the clouds are
+
 # %% tags=["remove-input"]
 before, after = (100 * studies.nearest_share(points, one) for points in (one.before, one.after))
 Markdown(

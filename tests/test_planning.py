@@ -242,7 +242,7 @@ def test_a_trial_on_cuda_measures_the_memory_of_the_device():
 
 
 def test_make_passes_the_options_on():
-    command = ["make", "--dry-run", "--always-make", "extract", "PROFILE=paper"]
+    command = ["make", "--no-print-directory", "--dry-run", "--always-make", "extract", "PROFILE=paper"]
 
     def asked(*more):
         done = subprocess.run([*command, *more], cwd=REPOSITORY, capture_output=True, text=True, check=True)

@@ -2,7 +2,8 @@
 
 Formulas: the one MathJax file that the pages use is served from the book itself. Fonts: the theme asks browsers to
 preload its icon fonts with a cross-origin request, which browsers refuse for pages opened from a folder; the fonts
-load without it. Live code: its scripts are in every page, can be there twice (which is an error), and need a server.
+load without it. Live code: its scripts are in every page, can be there twice (which is an error), and need a server. The sidebar
+with the contents of a page: the theme's script fails on pages that have none.
 """
 
 import re
@@ -11,6 +12,7 @@ from importlib.metadata import files
 from pathlib import Path
 
 SCRIPT = "tex-svg.js"
+SIDEBAR = 'document.querySelector("div.bd-sidebar-secondary").classList'
 UNWANTED = re.compile(
     r'<link rel="preload" as="font"[^>]*>\s*'
     r"|<link [^>]*sphinx-thebe[^>]*>\s*"
@@ -30,6 +32,9 @@ def finish(app, exception):
     target = output / "_static" / "mathjax" / SCRIPT
     target.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(source.locate(), target)
+    script = output / "_static" / "scripts" / "sphinx-book-theme.js"
+    text = script.read_text(encoding="utf-8")
+    script.write_text(text.replace(SIDEBAR, SIDEBAR.replace(".classList", "?.classList")), encoding="utf-8")
     for page in output.rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         slim = UNWANTED.sub("", text)

@@ -48,7 +48,8 @@ def ship(manifest: Manifest, dataset: str, methods: Iterable[str]) -> list[str]:
         path = folder / f"{traversal.name}-appearance.npy"
         with store.replacing(path) as temporary:
             np.save(temporary, appearance(traversal, store.cache_folder(manifest.path.parent)))
-        store.write_json(path.with_suffix(".json"), {"key": appearance_key(traversal), "traversal": traversal.name})
+        kept = {"key": appearance_key(traversal), "traversal": traversal.name, "sha256": store.digest_of_file(path)}
+        store.write_json(path.with_suffix(".json"), kept)
         written.append(str(path))
     for method in methods:
         for traversal in traversals:

@@ -10,7 +10,6 @@ import warnings
 from typing import Any
 
 import numpy as np
-import torch
 from scipy import linalg
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.exceptions import ConvergenceWarning
@@ -333,6 +332,8 @@ def _chunks(width: int) -> range:
 
 def _gram(X: np.ndarray, mean: np.ndarray, device: Any) -> np.ndarray:
     """Return ``(X - mean)(X - mean)'`` in float64, a slice of columns at a time."""
+    import torch
+
     target = torch.device(device or "cpu")
     total = torch.zeros((len(X), len(X)), dtype=torch.float64, device=target)
     for start in _chunks(X.shape[1]):
@@ -344,6 +345,8 @@ def _gram(X: np.ndarray, mean: np.ndarray, device: Any) -> np.ndarray:
 
 def _scatter(X: np.ndarray, mean: np.ndarray, device: Any) -> np.ndarray:
     """Return ``(X - mean)'(X - mean)`` in float64; for more rows than columns."""
+    import torch
+
     block = torch.from_numpy(X.astype(np.float64) - mean).to(torch.device(device or "cpu"))
     return (block.T @ block).cpu().numpy()
 

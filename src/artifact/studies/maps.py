@@ -228,7 +228,7 @@ def mutual_neighbours(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
     Examples
     --------
-    >>> mutual_neighbours(np.array([[0.0], [5.0]]), np.array([[1.0], [9.0]])).tolist()
+    >>> mutual_neighbours(np.array([[0.0], [7.0]]), np.array([[1.0], [9.0]])).tolist()
     [[0, 0], [1, 1]]
     """
     from scipy.spatial import cKDTree
