@@ -49,7 +49,7 @@ def visit(browser, path, scheme="light"):
     page.on("request", lambda r: outside.append(r.url) if not r.url.startswith(("file:", "data:", "blob:")) else None)
     page.goto(path.as_uri())
     page.wait_for_load_state("load")
-    page.wait_for_timeout(300)
+    page.wait_for_timeout(120)
     return page, errors, outside
 
 

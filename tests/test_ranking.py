@@ -85,7 +85,7 @@ def check_against_oracle(case, device):
                 assert value == pytest.approx(share(ranks(case, members=members), k))
 
 
-@pytest.mark.parametrize("side", [2, 5, 1024])
+@pytest.mark.parametrize("side", [3, 1024])
 @pytest.mark.parametrize("block", range(4))
 def test_counts_equal_a_literal_sort_of_the_augmented_database(block, side, monkeypatch):
     with_tiles_of(monkeypatch, side)
