@@ -248,9 +248,9 @@ def start(files: Files) -> str:
         files.path(number).with_suffix(".json").unlink(missing_ok=True)
         if files.path(number).exists():  # stopped between the last two steps of `complete`
             files.path(number).replace(files.partial(number))
-        if not _fits(files.partial(number), files, number):
+        if not partial.holds(files.partial(number), files.shape(number), files.layout.dtype):
             name = None
-            _reserve(files.partial(number), files, number)
+            _reserve(files, number)
     if name is None:
         name = uuid.uuid4().hex
         store.write_json(record, {"name": name})
@@ -317,26 +317,13 @@ def complete(files: Files, sidecar: dict[str, Any]) -> None:
         store.write_json(path.with_suffix(".json"), {**sidecar, **record, "sha256": digest})
 
 
-def _fits(path: Path, files: Files, number: int) -> bool:
+def _reserve(files: Files, number: int) -> None:
+    path, shape = files.partial(number), files.shape(number)
     try:
-        stored = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError):
-        return False
-    return stored.shape == files.shape(number) and stored.dtype == files.layout.dtype
-
-
-def _reserve(path: Path, files: Files, number: int) -> None:
-    """Create a file with all its blocks: a memory map that meets a full disk later kills the process."""
-    path.unlink(missing_ok=True)
-    try:
-        np.lib.format.open_memmap(path, mode="w+", dtype=files.layout.dtype, shape=files.shape(number))
-        if hasattr(os, "posix_fallocate"):
-            with path.open("rb+") as stream:
-                os.posix_fallocate(stream.fileno(), 0, path.stat().st_size)
+        partial.reserve(path, shape, files.layout.dtype)
     except OSError as error:
-        path.unlink(missing_ok=True)
         raise store.StoreError(
-            f"{path}: no room for {in_words(math.prod(files.shape(number)) * np.dtype(files.layout.dtype).itemsize)} "
+            f"{path}: no room for {in_words(math.prod(shape) * np.dtype(files.layout.dtype).itemsize)} "
             f"({error}); what is there stays: make room and run again"
         ) from None
 
@@ -398,7 +385,7 @@ def load(files: Files) -> Stored:
             values = np.load(path, mmap_mode="r", allow_pickle=False)
         except (OSError, ValueError) as error:
             raise store.StoreError(f"{path}: cannot be read ({error}); {advice}") from None
-        if not _fits(path, files, number):
+        if (values.shape, values.dtype) != (files.shape(number), files.layout.dtype):
             raise store.StoreError(f"{path}: holds {values.dtype} {values.shape}, unlike its manifest entry; {advice}")
         maps.append(values)
     return Stored(files, tuple(maps))

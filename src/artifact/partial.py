@@ -50,7 +50,7 @@ def start(path: Path, key: str, shape: tuple[int, int]) -> np.ndarray:
         path.replace(partial)
     done = np.zeros(shape[0], dtype=bool)
     journals = _journals(path)
-    if _has_shape(partial, shape):
+    if holds(partial, shape, np.float32):
         for journal in journals:
             record = store.read_json(journal)
             for first, stop in record.get("rows", []) if record.get("key") == key else []:
@@ -130,35 +130,51 @@ def _journals(path: Path) -> list[Path]:
     return sorted(path.parent.glob(f"{path.stem}.journal*.json"))
 
 
-def _has_shape(partial: Path, shape: tuple[int, int]) -> bool:
-    try:
-        stored = np.load(partial, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError):
-        return False
-    return stored.shape == shape and stored.dtype == np.float32
-
-
 def _ranges(done: np.ndarray) -> Rows:
     edges = np.flatnonzero(np.diff(np.concatenate(([False], done, [False])).astype(np.int8)))
     return edges.reshape(-1, 2).tolist()
 
 
 def _allocate(partial: Path, shape: tuple[int, int]) -> None:
-    """Create the file with all its blocks: a memory map that meets a full disk later kills the process."""
-    partial.unlink(missing_ok=True)
-    values = np.lib.format.open_memmap(partial, mode="w+", dtype=np.float32, shape=shape)
-    del values
-    size = partial.stat().st_size
     try:
-        if hasattr(os, "posix_fallocate"):
-            with partial.open("rb+") as stream:
-                os.posix_fallocate(stream.fileno(), 0, size)
-        elif shutil.disk_usage(partial.parent).free < size:
-            raise OSError("too little free space")
+        reserve(partial, shape, np.float32)
     except OSError as error:
-        partial.unlink()
-        free = shutil.disk_usage(partial.parent).free
+        size, free = 4 * shape[0] * shape[1], shutil.disk_usage(partial.parent).free
         raise store.StoreError(
             f"{partial.parent}: no room for {shape[0]} descriptors of {shape[1]} dimensions: {size / 1e9:.2f} GB are "
             f"needed, {free / 1e9:.2f} GB are free ({error}); make room, or set ARTIFACT_CACHE to a folder elsewhere"
         ) from None
+
+
+# -- arrays that are written into files bit by bit ----------------------------------------------------------
+
+
+def holds(path: Path, shape: tuple[int, ...], dtype: Any) -> bool:
+    """Whether a file is a readable array of a shape and type."""
+    try:
+        stored = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError):
+        return False
+    return stored.shape == shape and stored.dtype == dtype
+
+
+def reserve(path: Path, shape: tuple[int, ...], dtype: Any) -> None:
+    """Create an array file with all its blocks: a memory map that meets a full disk later kills the process.
+
+    Raises
+    ------
+    OSError
+        If the disk has no room; the file is gone then.
+    """
+    path.unlink(missing_ok=True)
+    try:
+        np.lib.format.open_memmap(path, mode="w+", dtype=dtype, shape=shape)
+        size = path.stat().st_size
+        if hasattr(os, "posix_fallocate"):
+            with path.open("rb+") as stream:
+                os.posix_fallocate(stream.fileno(), 0, size)
+        elif shutil.disk_usage(path.parent).free < size:
+            raise OSError("too little free space")
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise

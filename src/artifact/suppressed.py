@@ -37,23 +37,52 @@ class Suppressed:
     evaluations
         By suppression method, ``"original"`` first.
     accuracies
-        Test accuracy of the guardedness probe by suppression method, as a fraction; empty if it was not asked for.
-    inlp_accuracies
-        Balanced training accuracy of each INLP classifier.
+        Test accuracy of the guardedness probe by suppression method, as a fraction.
     described, split
         What was evaluated, and where it was fitted.
     """
 
     evaluations: dict[str, Evaluation]
     accuracies: dict[str, float]
-    inlp_accuracies: np.ndarray
     described: Described
     split: Split
 
-    def change(self, name: str, metric: str, k: int = 1) -> float:
-        """Return suppressed minus original, ``"R"`` or ``"DAR"`` at K, as a fraction."""
-        after, before = self.evaluations[name], self.evaluations[ORIGINAL]
-        return after.recall(k) - before.recall(k) if metric == "R" else after.dar(k) - before.dar(k)
+
+@dataclass(frozen=True)
+class Region:
+    """Descriptors and positions of an evaluation region.
+
+    Attributes
+    ----------
+    queries, database
+        ``(n, d)`` descriptors.
+    query_positions, database_positions
+        ``(n, p)`` in the unit of ``threshold``.
+    threshold
+        Positive threshold in metres or frames.
+    """
+
+    queries: np.ndarray
+    database: np.ndarray
+    query_positions: np.ndarray
+    database_positions: np.ndarray
+    threshold: float
+
+    @property
+    def places(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Positions and threshold, as :func:`artifact.evaluate` takes them."""
+        return self.query_positions, self.database_positions, self.threshold
+
+
+def evaluation_region(
+    described: Described, where: Split, query: str | None = None, database: str | None = None
+) -> Region:
+    """Return the evaluation region of a split; of another pair of traversals if they are named."""
+    names = query or described.dataset.query_name, database or described.dataset.database_name
+    rows = where.evaluation_queries, where.evaluation_database
+    values = [described.descriptors[name].values[chosen] for name, chosen in zip(names, rows, strict=True)]
+    places = [described.dataset.traversals[name].positions[chosen] for name, chosen in zip(names, rows, strict=True)]
+    return Region(*values, *places, described.dataset.threshold)
 
 
 def fitting_data(described: Described, where: Split) -> tuple[np.ndarray, np.ndarray]:
@@ -83,86 +112,58 @@ def split_of(
     )  # fmt: skip
 
 
-def evaluate_region(
-    described: Described, where: Split, views: Mapping[str, Any], *, standardise: STD | None = None, **options: Any
-) -> dict[str, Evaluation]:  # fmt: skip
-    """Evaluate the original and every view on the evaluation region, and STD if given.
+def evaluate_region(described: Described, where: Split, views: Mapping[str, Any], **options: Any) -> Evaluation:
+    """Evaluate the original and every view on the evaluation region; the distractors are the evaluation queries."""
+    region = evaluation_region(described, where)
+    return evaluate(region.queries, region.database, *region.places, views=views, **options)
 
-    Distractors are the evaluation queries; under STD they carry the query condition.
-    """
-    data = described.dataset
-    queries = described.query.values[where.evaluation_queries]
-    database = described.database.values[where.evaluation_database]
-    places = (
-        data.query.positions[where.evaluation_queries], data.database.positions[where.evaluation_database], data.threshold,
-    )  # fmt: skip
-    result = evaluate(queries, database, *places, views=views, **options)
-    found = {name: result[name] for name in (ORIGINAL, *views)}
-    if standardise is not None:
-        rescaled = standardise.transform(queries, QUERY), standardise.transform(database, DATABASE)
-        found["STD"] = evaluate(*rescaled, *places, **options)
-    return found
+
+def evaluate_standardised(described: Described, where: Split, standardise: STD, **options: Any) -> Evaluation:
+    """Evaluate the evaluation region under STD; distractors carry the query condition."""
+    region = evaluation_region(described, where)
+    rescaled = standardise.transform(region.queries, QUERY), standardise.transform(region.database, DATABASE)
+    return evaluate(*rescaled, *region.places, **options)
 
 
 def compare(
-    manifest: Manifest,
-    dataset: str,
-    method: str,
-    *,
-    fraction: float = 0.1,
-    evaluation_fraction: float | None = None,
-    where: Where = "centre",
-    iterations: int = 35,
-    seed: int = 0,
-    retrieve: int = 0,
-    probed: bool = True,
-) -> Suppressed:
+    manifest: Manifest, dataset: str, method: str, *, fraction: float = 0.1, iterations: int = 35, seed: int = 0
+) -> Suppressed:  # fmt: skip
     """Fit INLP, LEACE and STD on one region and evaluate them beside the original on the other (paper Fig. 8).
 
     Parameters
     ----------
     manifest, dataset, method
         What to evaluate.
-    fraction, evaluation_fraction, where
-        As in :func:`artifact.splits.split`.
+    fraction
+        Share of the queries to fit on.
     iterations
         INLP iterations.
     seed
         Seed of INLP and of the probe.
-    retrieve
-        Length of the retrieval lists.
-    probed
-        Whether to measure how well a linear classifier still tells the condition.
     """
     described = describe(manifest, dataset, method)
-    region = split_of(described, fraction, evaluation_fraction, where)
-    settings = [fraction, evaluation_fraction, where, iterations, seed, retrieve, probed]
-    key = _key("compare", [described], settings)
+    where = split_of(described, fraction)
+    key = key_of("compare", [described], [fraction, iterations, seed])
 
     def compute() -> dict[str, Any]:
-        fitted = fit(*fitting_data(described, region), iterations=iterations, seed=seed)
-        views = {name: fitted[name] for name in LOW_RANK}
-        found = evaluate_region(described, region, views, standardise=fitted["STD"], retrieve=retrieve, seed=seed)
-        results: dict[str, Any] = {"views": found[ORIGINAL], "STD": found["STD"]}
-        results["inlp_accuracies"] = fitted["INLP"].accuracies_
-        if probed:
-            results["accuracies"] = _probe_all(described, region, fitted, seed)
-        return results
+        fitted = fit(*fitting_data(described, where), iterations=iterations, seed=seed)
+        return {
+            "views": evaluate_region(described, where, {name: fitted[name] for name in LOW_RANK}, seed=seed),
+            "STD": evaluate_standardised(described, where, fitted["STD"], seed=seed),
+            "accuracies": _probe_all(described, where, fitted, seed),
+        }
 
     results = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "suppression"})
     evaluations = {name: results["views"][name] for name in (ORIGINAL, *LOW_RANK)} | {"STD": results["STD"]}
-    accuracies = dict(zip((ORIGINAL, *METHODS), results["accuracies"].tolist(), strict=True)) if probed else {}
-    return Suppressed(evaluations, accuracies, results["inlp_accuracies"], described, region)
+    accuracies = dict(zip((ORIGINAL, *METHODS), results["accuracies"].tolist(), strict=True))
+    return Suppressed(evaluations, accuracies, described, where)
 
 
-def _probe_all(described: Described, region: Split, fitted: Mapping[str, Any], seed: int) -> np.ndarray:
+def _probe_all(described: Described, where: Split, fitted: Mapping[str, Any], seed: int) -> np.ndarray:
     """Probe accuracies of the original and the suppressed descriptors of the evaluation region."""
-    data = described.dataset
-    queries = described.query.values[region.evaluation_queries]
-    database = described.database.values[region.evaluation_database]
-    rows = probe.probe_split(
-        data.query.positions[region.evaluation_queries], data.database.positions[region.evaluation_database], seed
-    )
+    region = evaluation_region(described, where)
+    queries, database = region.queries, region.database
+    rows = probe.probe_split(region.query_positions, region.database_positions, seed)
     pairs = [(queries, database), *((fitted[n].transform(queries), fitted[n].transform(database)) for n in LOW_RANK)]
     pairs.append((fitted["STD"].transform(queries, QUERY), fitted["STD"].transform(database, DATABASE)))
     return np.array([probe.probe_accuracy(*pair, rows, seed) for pair in pairs])
@@ -189,7 +190,7 @@ def by_fraction(
     described = describe(manifest, dataset, method)
     regions = {fraction: split_of(described, fraction, 0.5) for fraction in fractions}
     usable = {f: r for f, r in regions.items() if min(len(r.fit_queries), len(r.fit_database)) >= 2}
-    key = _key("fractions", [described], [list(usable), iterations, seed])
+    key = key_of("fractions", [described], [list(usable), iterations, seed])
 
     def compute() -> dict[str, Any]:
         views, standardised = {}, {}
@@ -198,10 +199,9 @@ def by_fraction(
             views |= {f"{name} {fraction!r}": fitted[name] for name in LOW_RANK}
             standardised[fraction] = fitted["STD"]
         region = next(iter(usable.values()))
-        results: dict[str, Any] = {"views": evaluate_region(described, region, views, seed=seed)[ORIGINAL]}
+        results: dict[str, Any] = {"views": evaluate_region(described, region, views, seed=seed)}
         for fraction, transform in standardised.items():
-            found = evaluate_region(described, region, {}, standardise=transform, seed=seed)
-            results[f"STD {fraction!r}"] = found["STD"]
+            results[f"STD {fraction!r}"] = evaluate_standardised(described, region, transform, seed=seed)
         return results
 
     results = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "fractions"})
@@ -255,7 +255,7 @@ def sequential(
         The datasets' descriptors.
     """
     described = {name: describe(manifest, name, method) for name in names}
-    key = _key("sequential", list(described.values()), [suppressor, fraction, iterations, seed])
+    key = key_of("sequential", list(described.values()), [suppressor, fraction, iterations, seed])
 
     def compute() -> dict[str, Any]:
         composed, arrays = None, {}
@@ -288,7 +288,8 @@ def _parts(prefix: str, transform: LowRankMap) -> dict[str, np.ndarray]:
     }
 
 
-def _key(stage: str, described: Sequence[Described], settings: Sequence[Any]) -> str:
+def key_of(stage: str, described: Sequence[Described], settings: Sequence[Any]) -> str:
+    """Return the content key of what one stage makes of descriptors with fitted transforms."""
     return store.key(
         stage=stage, revisions=[ranking.REVISION, suppression.REVISION],
         inputs=[one.key_inputs() for one in described], settings=list(settings),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from artifact import ranking, store, suppressed, suppression
+from artifact import suppressed
 from artifact.archive import stored
 from artifact.manifest import Manifest
 from artifact.metrics import Evaluation
@@ -61,10 +61,7 @@ def what_is_erased(
     """Compare original and suppressed descriptors: similarities, every INLP iteration, each query's top image."""
     described = describe(manifest, dataset, method)
     region = suppressed.split_of(described, fraction)
-    key = store.key(
-        stage="erased", revisions=[ranking.REVISION, suppression.REVISION], inputs=described.key_inputs(),
-        settings=[fraction, iterations, seed, PAIRS],
-    )  # fmt: skip
+    key = suppressed.key_of("erased", [described], [fraction, iterations, seed, PAIRS])
 
     def compute() -> dict[str, Any]:
         X, condition = suppressed.fitting_data(described, region)
@@ -72,7 +69,7 @@ def what_is_erased(
         steps = {f"INLP {i}": inlp.at(i) for i in range(1, iterations + 1)}
         # The last iteration is the fitted INLP; the ones between need no retrieval lists but share the pass.
         found = suppressed.evaluate_region(described, region, {"LEACE": leace, **steps}, retrieve=1, seed=seed)
-        results: dict[str, Any] = {"views": found[ORIGINAL], "accuracies": inlp.accuracies_}
+        results: dict[str, Any] = {"views": found, "accuracies": inlp.accuracies_}
         for view, transform in ((ORIGINAL, None), ("LEACE", leace), ("INLP", inlp)):
             for kind, values in _similarities(described, region, transform, seed).items():
                 results[f"{view} | {kind}"] = values
@@ -97,10 +94,9 @@ def what_is_erased(
 
 def _similarities(described: Described, region: Split, transform: Any, seed: int) -> dict[str, np.ndarray]:
     """Cosines of random pairs of each kind."""
-    data = described.dataset
-    rows, columns = region.evaluation_queries, region.evaluation_database
-    places = data.query.positions[rows], data.database.positions[columns]
-    queries, database = described.query.values[rows], described.database.values[columns]
+    found = suppressed.evaluation_region(described, region)
+    queries, database, places = found.queries, found.database, (found.query_positions, found.database_positions)
+    n_queries, n_database, threshold = len(queries), len(database), found.threshold
     if transform is not None:
         queries, database = transform.transform(queries), transform.transform(database)
     queries, database = _unit(queries), _unit(database)
@@ -109,11 +105,11 @@ def _similarities(described: Described, region: Split, transform: Any, seed: int
     def cosines(of: np.ndarray, pairs: np.ndarray) -> np.ndarray:
         return np.einsum("nd,nd->n", queries[pairs[:, 0]], of[pairs[:, 1]]).astype(np.float32)
 
-    starts, found = positives_of(*places, data.threshold)
-    positive = np.column_stack([np.repeat(np.arange(len(rows)), np.diff(starts)), found])
-    across, within = _random_pairs(len(rows), len(columns), generator), _random_pairs(len(rows), len(rows), generator)
-    across = across[_apart(places[0], places[1], across) > data.threshold]
-    within = within[_apart(places[0], places[0], within) > data.threshold]
+    starts, near = positives_of(*places, threshold)
+    positive = np.column_stack([np.repeat(np.arange(n_queries), np.diff(starts)), near])
+    across, within = _random_pairs(n_queries, n_database, generator), _random_pairs(n_queries, n_queries, generator)
+    across = across[_apart(places[0], places[1], across) > threshold]
+    within = within[_apart(places[0], places[0], within) > threshold]
     kept = positive[np.sort(generator.permutation(len(positive))[:PAIRS])]
     return dict(zip(KINDS, (cosines(database, kept), cosines(queries, within), cosines(database, across)), strict=True))
 
