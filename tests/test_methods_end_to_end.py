@@ -9,9 +9,9 @@ import pytest
 from conftest import real_data_root, write_manifest
 from PIL import Image
 
+import artifact_city
 from artifact import datasets, extract, methods, pipeline
 from artifact import manifest as manifests
-from artifact.datasets import city
 
 HERE = manifests.load()
 METHODS = [name for name, entry in HERE.methods.items() if entry.kind == "paper"]
@@ -27,9 +27,9 @@ def images(tmp_path_factory):
     root = real_data_root()
     for part, traversal, real in (("day", "sun", "day_right"), ("night", "night", "night_right")):
         (folder / part).mkdir(parents=True)
-        drive = city.CityTraversal(**shown[traversal].render)
+        drive = artifact_city.CityTraversal(**shown[traversal].render)
         for place in (20, 160):
-            Image.fromarray(city.render_frame(drive, place)).save(folder / part / f"{place}.png")
+            Image.fromarray(artifact_city.render_frame(drive, place)).save(folder / part / f"{place}.png")
         if root is not None:
             picture = Image.open(sorted((root / "gardens_point" / real).glob("*.jpg"))[80])
             picture.thumbnail((320, 320))

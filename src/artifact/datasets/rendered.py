@@ -18,7 +18,7 @@ def rendered(render: dict[str, Any], cache: Path, label: str, *, progress: bool 
     Parameters
     ----------
     render
-        The key ``render`` of the manifest: the fields of :class:`artifact.datasets.city.CityTraversal`.
+        The key ``render`` of the manifest: the fields of :class:`artifact_city.CityTraversal`.
     cache
         Folder of stored results.
     label
@@ -31,7 +31,7 @@ def rendered(render: dict[str, Any], cache: Path, label: str, *, progress: bool 
     DatasetError
         If the description has unknown or impossible values.
     """
-    from artifact.datasets import city
+    import artifact_city
 
     traversal = _described(render, label)
     folder = _folder(traversal, cache)
@@ -45,7 +45,7 @@ def rendered(render: dict[str, Any], cache: Path, label: str, *, progress: bool 
                 leave=False,
             ) as bar:
                 try:
-                    city.render(traversal, folder, progress=lambda done: bar.update(done - bar.n))
+                    artifact_city.render(traversal, folder, progress=lambda done: bar.update(done - bar.n))
                 except ValueError as error:
                     raise DatasetError(f"{label}: {error}") from None
     return folder
@@ -57,7 +57,7 @@ def is_rendered(render: dict[str, Any], cache: Path, label: str) -> bool:
 
 
 def _described(render: dict[str, Any], label: str) -> Any:
-    from artifact.datasets.city import CityTraversal
+    from artifact_city import CityTraversal
 
     allowed = [field.name for field in fields(CityTraversal)]
     unknown = [name for name in render if name not in allowed]
@@ -70,6 +70,6 @@ def _described(render: dict[str, Any], label: str) -> Any:
 
 
 def _folder(traversal: Any, cache: Path) -> Path:
-    from artifact.datasets.city import CITY_REVISION
+    from artifact_city import CITY_REVISION
 
     return cache / "city" / store.key(stage="city", revision=CITY_REVISION, traversal=traversal)[:24]

@@ -1,0 +1,261 @@
+"""The plan of the town: junctions, streets of several kinds, the blocks between them, and the railway around it."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from artifact_city.records import layout, records
+
+N_COLUMNS, N_ROWS = 7, 6
+COLUMN_NAMES = "ABCDEFG"
+
+OUTER_DEPTH = 30.0  # metres of houses and gardens outside the outermost streets
+RAILWAY_DISTANCE = 66.0  # metres from the outermost streets to the track
+MARGIN = 150.0  # metres of country around the outermost streets
+
+
+class Kind(IntEnum):
+    """Kinds of street; the values index the tables of widths below."""
+
+    LANE = 0
+    STREET = 1
+    AVENUE = 2
+    CANAL = 3
+    RAILWAY = 4
+    PATH = 5
+
+
+# Metres from the axis to the kerb, to the house fronts, and to the water's edge (canals only).
+ROAD_HALF = np.array([2.7, 5.2, 7.0, 11.0, 2.3, 1.5])
+TOTAL_HALF = np.array([4.6, 8.4, 12.0, 13.6, 2.6, 1.9])
+WATER_HALF = np.array([0.0, 0.0, 0.0, 5.6, 0.0, 0.0])
+# Metres right of the axis at which cars drive and people walk.
+DRIVE_OFFSET = np.array([0.3, 1.6, 3.2, 9.0, 0.0, 0.0])
+WALK_OFFSET = np.array([3.6, 6.9, 9.8, 12.4, 0.0, 0.0])
+
+STREET_CAP = 4.0  # metres by which a street reaches past its end junctions
+
+
+# One straight piece of a street, as compiled code reads it. Lengths in metres.
+STREET_PIECE = layout(
+    x="f8",  # start
+    y="f8",
+    ux="f8",  # unit direction
+    uy="f8",
+    length="f8",
+    start="f8",  # distance along the whole line at the piece's start
+    road="f8",  # half widths
+    total="f8",
+    water="f8",
+    mouth_start="f8",  # half width of the street crossed at the start and at the end
+    mouth_end="f8",
+    cap="f8",  # reach beyond both ends
+    kind="i8",
+    seed="f8",
+)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A convex quadrilateral between streets, corners counter-clockwise, side ``k`` from corner k to k + 1."""
+
+    corners: np.ndarray
+    place: tuple[int, int]
+    outer: bool = False
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Junctions, kinds of street, and what follows from them.
+
+    Attributes
+    ----------
+    junctions : ndarray, shape (7, 6, 2)
+        Positions in metres, x east and y north; junction ``B3`` is ``junctions[1, 2]``.
+    column_kinds, row_kinds : tuple of Kind
+        The kind of the street along each column (A-G) and row (1-6).
+    """
+
+    seed: int
+    junctions: np.ndarray
+    column_kinds: tuple[Kind, ...]
+    row_kinds: tuple[Kind, ...]
+
+    def kind(self, a: tuple[int, int], b: tuple[int, int]) -> Kind:
+        """Kind of the street between two neighbouring junctions."""
+        return self.column_kinds[a[0]] if a[0] == b[0] else self.row_kinds[a[1]]
+
+    def edges(self) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+        """All pairs of neighbouring junctions, rows first, each in the direction of growing coordinates."""
+        rows = [((i, j), (i + 1, j)) for j in range(N_ROWS) for i in range(N_COLUMNS - 1)]
+        columns = [((i, j), (i, j + 1)) for i in range(N_COLUMNS) for j in range(N_ROWS - 1)]
+        return rows + columns
+
+
+def make_plan(seed: int) -> Plan:
+    """Draw the plan of town ``seed``.
+
+    Each town has the same topology, a grid of 7 by 6 streets, so that a route such as ``A2-D2-D4`` exists in every
+    one; distances, bends and kinds of street are its own.
+    """
+    rng = np.random.default_rng([seed, 1])
+    x = np.concatenate([[0.0], np.cumsum(rng.uniform(72, 112, N_COLUMNS - 1))])
+    y = np.concatenate([[0.0], np.cumsum(rng.uniform(66, 98, N_ROWS - 1))])
+    junctions = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    junctions += np.clip(rng.normal(0, 6.5, junctions.shape), -12, 12)
+    inner_columns = rng.permutation([Kind.STREET, Kind.AVENUE, Kind.LANE, Kind.CANAL, Kind.STREET])
+    inner_rows = rng.permutation([Kind.STREET, Kind.AVENUE, Kind.LANE, Kind.STREET])
+    return Plan(
+        seed,
+        junctions,
+        (Kind.STREET, *map(Kind, inner_columns), Kind.STREET),
+        (Kind.STREET, *map(Kind, inner_rows), Kind.STREET),
+    )
+
+
+def street_pieces(plan: Plan, track: np.ndarray, paths: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """List every street piece, the pieces of the railway and the paths of the parks, as records ``STREET_PIECE``."""
+    rows = []
+    for a, b in plan.edges():
+        along_row = a[1] == b[1]
+        across = plan.column_kinds if along_row else plan.row_kinds
+        axis = 0 if along_row else 1
+        mouths = ROAD_HALF[across[a[axis]]], ROAD_HALF[across[b[axis]]]
+        line = 8 * a[0] + a[1] + (100 if along_row else 200)
+        rows.append((plan.junctions[a], plan.junctions[b], plan.kind(a, b), 0.0, *mouths, STREET_CAP, line))
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track, axis=0), axis=1))])
+    rows += [(track[k], track[k + 1], Kind.RAILWAY, travelled[k], 0.0, 0.0, 0.15, 99) for k in range(len(track) - 1)]
+    rows += [(a, b, Kind.PATH, 0.0, 0.0, 0.0, 0.0, 60) for a, b in paths]
+    first, last, kind, start, mouth_start, mouth_end, cap, line = (np.array(c) for c in zip(*rows, strict=True))
+    length = np.linalg.norm(last - first, axis=1)
+    return records(
+        STREET_PIECE,
+        {
+            "x": first[:, 0],
+            "y": first[:, 1],
+            "ux": (last - first)[:, 0] / length,
+            "uy": (last - first)[:, 1] / length,
+            "length": length,
+            "start": start,
+            "road": ROAD_HALF[kind],
+            "total": TOTAL_HALF[kind],
+            "water": WATER_HALF[kind],
+            "mouth_start": mouth_start,
+            "mouth_end": mouth_end,
+            "cap": cap,
+            "kind": kind,
+            "seed": line + 1000 * plan.seed,
+        },
+    )
+
+
+def meet(p: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Point where the line through ``p`` along ``u`` meets the line through ``q`` along ``v``.
+
+    >>> import numpy as np
+    >>> meet(np.array([0.0, 1.0]), np.array([1.0, 0.0]), np.array([3.0, 0.0]), np.array([0.0, 1.0]))
+    array([3., 1.])
+    """
+    cross = u[0] * v[1] - u[1] * v[0]
+    w = q - p
+    return p + u * ((w[0] * v[1] - w[1] * v[0]) / cross)
+
+
+def inset(corners: np.ndarray, distances: tuple[float, ...] | np.ndarray) -> np.ndarray:
+    """Move each side of a counter-clockwise convex polygon inwards by its own distance.
+
+    Parameters
+    ----------
+    corners : ndarray, shape (n, 2)
+    distances : sequence of n floats
+        Metres for the side from corner k to corner k + 1; negative moves outwards.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> inset(np.array([[0.0, 0], [4, 0], [4, 3], [0, 3]]), (1, 0, 1, 0)).tolist()
+    [[0.0, 1.0], [4.0, 1.0], [4.0, 2.0], [0.0, 2.0]]
+    """
+    n = len(corners)
+    direction = np.roll(corners, -1, axis=0) - corners
+    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    moved = corners + normal * np.asarray(distances, dtype=float)[:, None]
+    return np.array([meet(moved[k - 1], direction[k - 1], moved[k], direction[k]) for k in range(n)])
+
+
+def blocks(plan: Plan) -> list[Block]:
+    """Return the blocks between the streets, then the strips of houses outside the outermost streets."""
+    found = []
+    for i in range(N_COLUMNS - 1):
+        for j in range(N_ROWS - 1):
+            ring = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
+            sides = tuple(plan.kind(ring[k], ring[(k + 1) % 4]) for k in range(4))
+            corners = np.array([plan.junctions[c] for c in ring])
+            found.append(Block(inset(corners, TOTAL_HALF[list(sides)]), (i, j)))
+    return found + _outer_blocks(plan)
+
+
+def _outer_blocks(plan: Plan) -> list[Block]:
+    last_column, last_row = N_COLUMNS - 1, N_ROWS - 1
+    # In this order the outside lies to the right of a -> b, so that b -> a is a block's front side.
+    outline = [((i, 0), (i + 1, 0)) for i in range(last_column)]
+    outline += [((last_column, j), (last_column, j + 1)) for j in range(last_row)]
+    outline += [((i + 1, last_row), (i, last_row)) for i in reversed(range(last_column))]
+    outline += [((0, j + 1), (0, j)) for j in reversed(range(last_row))]
+    found = []
+    for a, b in outline:
+        p, q = plan.junctions[a], plan.junctions[b]
+        along = (q - p) / np.linalg.norm(q - p)
+        outwards = np.array([along[1], -along[0]])
+        near, far = TOTAL_HALF[Kind.STREET], TOTAL_HALF[Kind.STREET] + OUTER_DEPTH
+        # A trim at both ends keeps neighbouring strips apart where the outline bends outwards or inwards.
+        p, q = p + 3.0 * along, q - 3.0 * along
+        corners = np.array([q + near * outwards, p + near * outwards, p + far * outwards, q + far * outwards])
+        found.append(Block(corners, a, outer=True))
+    return found
+
+
+def railway(plan: Plan, spacing: float) -> np.ndarray:
+    """Return the closed track around the town as points ``spacing`` metres apart, shape (n, 2), counter-clockwise.
+
+    A rounded rectangle with slow bends, so that no two stretches of line look into the same distance.
+    """
+    low = plan.junctions.reshape(-1, 2).min(axis=0) - RAILWAY_DISTANCE
+    high = plan.junctions.reshape(-1, 2).max(axis=0) + RAILWAY_DISTANCE
+    radius = 95.0
+    centres = [
+        (high[0], low[1], -0.25),
+        (high[0], high[1], 0.0),
+        (low[0], high[1], 0.25),
+        (low[0], low[1], 0.5),
+    ]
+    points = []
+    for x, y, turn in centres:
+        cx = x - radius if x == high[0] else x + radius
+        cy = y - radius if y == high[1] else y + radius
+        angle = 2 * np.pi * np.linspace(turn, turn + 0.25, 40)
+        points.append(np.stack([cx + radius * np.cos(angle), cy + radius * np.sin(angle)], axis=1))
+    ring = np.concatenate([*points, points[0][:1]])
+    ring = resample(ring, 2.0)
+    phase = np.random.default_rng([plan.seed, 2]).uniform(0, 2 * np.pi, 3)
+    turn = np.linspace(0, 2 * np.pi, len(ring))
+    tangent = np.gradient(ring, axis=0)
+    normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / np.linalg.norm(tangent, axis=1)[:, None]
+    wave = 5.0 * np.sin(5 * turn + phase[0]) + 3.0 * np.sin(9 * turn + phase[1]) + 4.0 * np.sin(3 * turn + phase[2])
+    wave -= np.linspace(0, 1, len(ring)) * (wave[-1] - wave[0])
+    return resample(ring + wave[:, None] * normal, spacing)
+
+
+def resample(points: np.ndarray, spacing: float) -> np.ndarray:
+    """Return points at equal distances along a polyline, from its first point to its last.
+
+    >>> import numpy as np
+    >>> resample(np.array([[0.0, 0], [1, 0], [1, 1]]), 0.5).tolist()
+    [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [1.0, 0.5], [1.0, 1.0]]
+    """
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    count = max(1, round(travelled[-1] / spacing)) + 1
+    at = np.linspace(0, travelled[-1], count)
+    return np.stack([np.interp(at, travelled, points[:, k]) for k in range(2)], axis=1)
