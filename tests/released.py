@@ -15,7 +15,7 @@ from conftest import THUMBNAIL
 from torch import nn
 
 from artifact import download, weights
-from artifact.manifest import MethodEntry
+from artifact.manifest.entries import MethodEntry
 
 
 @dataclass

@@ -4,7 +4,8 @@ import numpy as np
 
 from artifact.datasets import Dataset, Traversal
 from artifact.extract import Descriptors
-from artifact.manifest import DatasetEntry, Manifest, MethodEntry
+from artifact.manifest import Manifest
+from artifact.manifest.entries import DatasetEntry, MethodEntry
 from artifact.pipeline import Described
 
 METHOD = "coded"

@@ -11,7 +11,7 @@ from PIL import Image
 
 from artifact import methods
 from artifact.images import UnreadableImageError, read_image
-from artifact.manifest import Preprocessing
+from artifact.manifest.entries import Preprocessing
 from artifact.methods import efficientnet_lite
 from artifact.methods.hog import HOG
 from artifact.methods.preprocessing import prepare, target_size

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from artifact import datasets, manifest
 from artifact.datasets import DatasetError, folder
-from artifact.manifest import ManifestError
+from artifact.manifest.entries import ManifestError
 
 
 def street(threshold, **traversals):

@@ -17,6 +17,7 @@ from torch import nn
 
 from artifact import bench, datasets, extract, forward, manifest, methods, reading, shards, store
 from artifact.extract import ExtractionError
+from artifact.manifest import entries
 
 WORKERS = pytest.mark.parametrize("workers", [0, 2])
 
@@ -346,7 +347,7 @@ def test_broken_images_of_all_devices_are_named(project):
 
 
 def failing():
-    raise manifest.ManifestError("no such thing")
+    raise entries.ManifestError("no such thing")
 
 
 def dying():
@@ -356,7 +357,7 @@ def dying():
 @pytest.mark.parametrize(
     ("builder", "error", "message"),
     [
-        ("failing", manifest.ManifestError, "no such thing"),
+        ("failing", entries.ManifestError, "no such thing"),
         ("dying", ExtractionError, "ended by the signal 9; if memory ran out, use fewer devices. Run again to go on"),
     ],
 )
@@ -651,7 +652,7 @@ def test_builders_that_do_not_work_are_named(project, builder, message):
     content = tiny_manifest()
     content["methods"]["own"] = HOG | {"builder": builder}
     loaded = manifest.load(write_manifest(project, content))
-    with pytest.raises(manifest.ManifestError, match=message):
+    with pytest.raises(entries.ManifestError, match=message):
         extract.descriptors(loaded, datasets.load_traversal(loaded, "street", "day"), "own", workers=0)
 
 
@@ -664,6 +665,6 @@ def test_an_unknown_method_without_a_builder_is_named(project):
     content["methods"]["own"] = HOG
     loaded = manifest.load(write_manifest(project, content))
     with pytest.raises(
-        manifest.ManifestError, match=r"methods.own: this version has no model of that name; .* 'builder"
+        entries.ManifestError, match=r"methods.own: this version has no model of that name; .* 'builder"
     ):
         extract.descriptors(loaded, datasets.load_traversal(loaded, "street", "day"), "own", workers=0)

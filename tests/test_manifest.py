@@ -4,7 +4,7 @@ import pytest
 from conftest import REPOSITORY, tiny_manifest, write_manifest
 
 from artifact import manifest
-from artifact.manifest import ManifestError
+from artifact.manifest.entries import ManifestError
 
 
 def changed(path, value):

@@ -10,6 +10,7 @@ import torch
 from conftest import HOG, REPOSITORY, tiny_manifest, write_images, write_manifest
 
 from artifact import cli, datasets, extract, manifest, planning, timing
+from artifact.manifest import entries
 from artifact.planning import Need, Part
 from artifact.timing import Timing
 
@@ -175,7 +176,7 @@ def test_totals_say_when_something_is_unknown():
 
 def entry_of(builder=None, **changes):
     content = tiny_manifest()["methods"]["hog"] | ({"builder": f"{__name__}:{builder}"} if builder else {}) | changes
-    return manifest.MethodEntry.model_validate(content)
+    return entries.MethodEntry.model_validate(content)
 
 
 def test_a_trial_measures_model_reading_and_memory():

@@ -31,7 +31,7 @@ from artifact import (
     verification,
 )
 from artifact.images import read_image
-from artifact.manifest import ManifestError
+from artifact.manifest.entries import ManifestError
 from artifact.matching import LocalMatcher
 from artifact.methods.preprocessing import prepare
 from artifact.metrics import evaluate

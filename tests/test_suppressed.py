@@ -6,7 +6,7 @@ import pytest
 import synthetic
 
 from artifact import compose, evaluate, findings, studies, suppressed
-from artifact.manifest import ManifestError
+from artifact.manifest.entries import ManifestError
 from artifact.studies import within
 from artifact.suppression import INLP, LEACE
 

@@ -22,7 +22,7 @@ from filled_weights import filled, images
 from released import Aggregated, Tiny, entry_of, equal, names_in, packed, put, running, state_of
 
 from artifact import cli, datasets, download, extract, manifest, methods, runner, store, verification, weights
-from artifact.manifest import ManifestError, MethodEntry
+from artifact.manifest.entries import ManifestError, MethodEntry
 from artifact.methods.mixvpr import mixvpr
 from artifact.weights import WeightsError
 

@@ -17,7 +17,8 @@ import torch
 from artifact import forward, methods, reading, shards, timing
 from artifact.datasets import Traversal
 from artifact.lowrank import LowRankMap
-from artifact.manifest import Manifest, MethodEntry
+from artifact.manifest import Manifest
+from artifact.manifest.entries import MethodEntry
 from artifact.metrics import evaluate
 
 N_QUERIES, N_DATABASE = 6000, 7500

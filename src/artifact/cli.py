@@ -38,7 +38,7 @@ def _user_errors() -> tuple[type[Exception], ...]:
     from artifact.book import BookError
     from artifact.datasets import DatasetError
     from artifact.extract import ExtractionError
-    from artifact.manifest import ManifestError
+    from artifact.manifest.entries import ManifestError
     from artifact.parameters import ParameterError
     from artifact.runner import NotebookError
     from artifact.store import StoreError

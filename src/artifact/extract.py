@@ -22,7 +22,8 @@ from tqdm import tqdm
 from artifact import local_features, methods, partial, store
 from artifact.datasets import shipped
 from artifact.datasets.traversal import Traversal
-from artifact.manifest import Manifest, ManifestError, MethodEntry
+from artifact.manifest import Manifest
+from artifact.manifest.entries import ManifestError, MethodEntry
 from artifact.reading import ExtractionError
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 import torch
 
-from artifact.manifest import MethodEntry
+from artifact.manifest.entries import MethodEntry
 from artifact.reading import ExtractionError, Prepared
 
 Model = Callable[[torch.Tensor], torch.Tensor | tuple[torch.Tensor, ...]]

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from artifact import partial, store
-from artifact.manifest import ManifestError, MethodEntry
+from artifact.manifest.entries import ManifestError, MethodEntry
 
 if TYPE_CHECKING:
     import torch

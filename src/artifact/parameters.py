@@ -16,7 +16,8 @@ import jupytext
 from artifact import datasets
 from artifact.datasets import DatasetError
 from artifact.datasets.appearance import STATISTICS
-from artifact.manifest import Manifest, ManifestError
+from artifact.manifest import Manifest
+from artifact.manifest.entries import ManifestError
 
 
 class ParameterError(ValueError):

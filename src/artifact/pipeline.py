@@ -18,7 +18,8 @@ from artifact.archive import stored
 from artifact.candidates import Images
 from artifact.datasets import Dataset
 from artifact.extract import Descriptors
-from artifact.manifest import Manifest, ManifestError
+from artifact.manifest import Manifest
+from artifact.manifest.entries import ManifestError
 from artifact.metrics import Evaluation, evaluate
 
 # Random draws of the sweep over the number of distractors, for two-stage methods: each asks for scores of more pairs.

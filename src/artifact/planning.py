@@ -22,7 +22,8 @@ from artifact import datasets, extract, local_features, reading, store, timing, 
 from artifact.datasets import folder, shipped
 from artifact.datasets.rendered import is_rendered, rendered
 from artifact.datasets.traversal import Traversal
-from artifact.manifest import DatasetEntry, Manifest, MethodEntry
+from artifact.manifest import Manifest
+from artifact.manifest.entries import DatasetEntry, MethodEntry
 
 if TYPE_CHECKING:
     import torch

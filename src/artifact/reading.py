@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from artifact.images import UnreadableImageError, read_image
-from artifact.manifest import Preprocessing
+from artifact.manifest.entries import Preprocessing
 
 Prepared = np.ndarray | list[np.ndarray]
 """A batch ``(b, c, h, w)`` float32, or one ``(c, h, w)`` per image where their sizes differ."""

@@ -25,7 +25,7 @@ import torch
 from artifact import local_features, methods, partial, reading
 from artifact.datasets.traversal import Traversal
 from artifact.forward import Forward
-from artifact.manifest import MethodEntry
+from artifact.manifest.entries import MethodEntry
 from artifact.reading import ExtractionError
 
 _LISTED = 20

@@ -21,7 +21,8 @@ import numpy as np
 from PIL import Image
 
 from artifact import local_features, methods, reading, store
-from artifact.manifest import Manifest, MethodEntry
+from artifact.manifest import Manifest
+from artifact.manifest.entries import MethodEntry
 
 if TYPE_CHECKING:
     import torch

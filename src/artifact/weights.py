@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from artifact import download, store, weights_lock
-from artifact.manifest import MethodEntry, WeightsEntry, WeightsFile
+from artifact.manifest.entries import MethodEntry, WeightsEntry, WeightsFile
 from artifact.weights_lock import WeightsError
 
 Status = Literal["not needed", "present", "not checked yet", "missing", "changed"]

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from artifact import store
-from artifact.manifest import WeightsFile
+from artifact.manifest.entries import WeightsFile
 
 _ENDING = ".lock.json"
 _KEYS = ("url", "size", "sha256", "tensors", "date")

@@ -15,7 +15,8 @@ from artifact import store
 from artifact.datasets import folder, shipped
 from artifact.datasets.rendered import is_rendered, rendered
 from artifact.datasets.traversal import Dataset, DatasetError, Traversal
-from artifact.manifest import DatasetEntry, Manifest, ManifestError, Threshold, TraversalEntry, parse_dataset
+from artifact.manifest import Manifest, parse_dataset
+from artifact.manifest.entries import DatasetEntry, ManifestError, Threshold, TraversalEntry
 
 __all__ = ["Dataset", "DatasetError", "Traversal", "entry_of", "load", "load_traversal"]
 

@@ -11,7 +11,8 @@ from artifact import datasets as data
 from artifact import studies
 from artifact.findings import retrieval, suppression
 from artifact.findings.finding import Finding
-from artifact.manifest import DatasetEntry, Manifest
+from artifact.manifest import Manifest
+from artifact.manifest.entries import DatasetEntry
 from artifact.studies import Study
 
 DISTANCES = (25.0, 50.0, 75.0, 100.0, 150.0, 200.0)

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from artifact import manifest as manifests
 from artifact import store, weights
-from artifact.manifest import Manifest, ManifestError, MethodEntry, WeightsFile
+from artifact.manifest import Manifest
+from artifact.manifest.entries import ManifestError, MethodEntry, WeightsFile
 from artifact.weights import WeightsError
 
 if TYPE_CHECKING:

@@ -14,7 +14,8 @@ from artifact import datasets as data
 from artifact import store, suppressed
 from artifact.archive import stored
 from artifact.lowrank import LowRankMap
-from artifact.manifest import Manifest, ManifestError
+from artifact.manifest import Manifest
+from artifact.manifest.entries import ManifestError
 from artifact.metrics import Evaluation, evaluate
 from artifact.pipeline import Described, describe
 from artifact.ranking import ORIGINAL

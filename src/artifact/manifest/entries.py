@@ -1,27 +1,18 @@
-"""The manifest: one typed, strict file that names every dataset, traversal, method and profile.
-
-Everything that changes a number is data in ``data_manifest.yaml``, written once. A wrong key, type, path or
-unit raises :class:`ManifestError`, which names the file, the line, the key path, the value found and the
-values allowed.
-"""
+"""The entries of a manifest, typed and strict."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Unit = Literal["metres", "frames", "pairs"]
-Positions = Literal["csv", "names", "order"]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.,+-]*$")]
 
-DATA_ROOT_VARIABLE = "ARTIFACT_DATA_ROOT"
+
+Positions = Literal["csv", "names", "order"]
+
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.,+-]*$")]
 
 
 class ManifestError(ValueError):
@@ -128,7 +119,7 @@ class DatasetEntry(_Strict):
             for name in names:
                 if name not in self.traversals:
                     raise ValueError(
-                        f"{key} names the traversal {name!r}; the traversals are {_quoted(self.traversals)}"
+                        f"{key} names the traversal {name!r}; the traversals are {quoted(self.traversals)}"
                     )
         for name, traversal in self.traversals.items():
             if (self.kind == "city") != (traversal.render is not None):
@@ -275,7 +266,9 @@ class ProfileEntry(_Strict):
     parameters: dict[str, dict[str, Any]] = {}
 
 
-class _Document(_Strict):
+class Document(_Strict):
+    """A whole manifest file."""
+
     version: Literal[1]
     data_root: str = "data"
     datasets: dict[Name, DatasetEntry]
@@ -283,228 +276,15 @@ class _Document(_Strict):
     profiles: dict[Name, ProfileEntry]
 
     @model_validator(mode="after")
-    def _profiles_name_entries(self) -> _Document:
+    def _profiles_name_entries(self) -> Document:
         for name, profile in self.profiles.items():
             for kind, known in (("datasets", self.datasets), ("methods", self.methods)):
                 for entry in getattr(profile, kind):
                     if entry not in known:
-                        raise ValueError(f"profiles.{name}.{kind} names {entry!r}; the {kind} are {_quoted(known)}")
+                        raise ValueError(f"profiles.{name}.{kind} names {entry!r}; the {kind} are {quoted(known)}")
         return self
 
 
-@dataclass(frozen=True)
-class Manifest:
-    """A checked manifest.
-
-    Attributes
-    ----------
-    path
-        The file it was read from.
-    data_root
-        Folder that holds the datasets: ``$ARTIFACT_DATA_ROOT`` if set, else the manifest's ``data_root``
-        (relative to the manifest).
-    datasets, methods, profiles
-        The entries by name, in the order of the file.
-    """
-
-    path: Path
-    data_root: Path
-    datasets: dict[str, DatasetEntry]
-    methods: dict[str, MethodEntry]
-    profiles: dict[str, ProfileEntry]
-
-    def dataset(self, name: str) -> DatasetEntry:
-        """Return one dataset entry, or raise :class:`ManifestError` with the names that exist."""
-        return _lookup(self.datasets, name, "dataset", self.path)
-
-    def method(self, name: str) -> MethodEntry:
-        """Return one method entry, or raise :class:`ManifestError` with the names that exist."""
-        return _lookup(self.methods, name, "method", self.path)
-
-    def profile(self, name: str) -> ProfileEntry:
-        """Return one profile entry, or raise :class:`ManifestError` with the names that exist."""
-        return _lookup(self.profiles, name, "profile", self.path)
-
-
-def load(path: str | os.PathLike[str] | None = None) -> Manifest:
-    """Read and check a manifest.
-
-    Parameters
-    ----------
-    path
-        The file; by default ``data_manifest.yaml`` in the working folder or the nearest folder above it.
-
-    Raises
-    ------
-    ManifestError
-        If the file is missing, is not YAML, repeats a key, or holds a key, type, value or name that is not
-        allowed. All faults are listed at once.
-    """
-    path = find() if path is None else Path(path)
-    if not path.is_file():
-        raise ManifestError(f"{path}: no such file; the manifest is data_manifest.yaml at the top of the repository")
-    root = _compose(path)
-    try:
-        document = _Document.model_validate(_plain(root, path))
-    except ValidationError as error:
-        raise ManifestError("\n".join(_explain(error, root, path))) from None
-    chosen = os.environ.get(DATA_ROOT_VARIABLE)
-    data_root = Path(chosen).expanduser() if chosen else path.resolve().parent / Path(document.data_root).expanduser()
-    return Manifest(
-        path=path.resolve(),
-        data_root=data_root.resolve(),
-        datasets=document.datasets,
-        methods={name: _with_folder(entry, data_root.resolve()) for name, entry in document.methods.items()},
-        profiles=document.profiles,
-    )
-
-
-def _with_folder(entry: MethodEntry, data_root: Path) -> MethodEntry:
-    if entry.weights is None:
-        return entry
-    folder = data_root / Path(entry.weights.folder).expanduser()
-    return entry.model_copy(update={"weights": entry.weights.model_copy(update={"folder": str(folder)})})
-
-
-def parse_dataset(path: Path, root: str) -> DatasetEntry:
-    """Read one dataset entry from a file of its own (``dataset.yaml``), with the same strictness.
-
-    Parameters
-    ----------
-    path
-        The file.
-    root
-        Folder of the dataset, used when the entry does not name one.
-    """
-    node = _compose(path)
-    try:
-        entry = DatasetEntry.model_validate(_plain(node, path))
-    except ValidationError as error:
-        raise ManifestError("\n".join(_explain(error, node, path, DatasetEntry))) from None
-    return entry if entry.root else entry.model_copy(update={"root": root})
-
-
-def find(start: str | os.PathLike[str] | None = None) -> Path:
-    """Return the nearest ``data_manifest.yaml`` in ``start`` (default: the working folder) or above it.
-
-    If there is none, the manifest of the repository that the package is installed from is taken.
-
-    Raises
-    ------
-    ManifestError
-        If there is none.
-    """
-    folder = Path(start or Path.cwd()).resolve()
-    repository = Path(__file__).resolve().parents[2]
-    for candidate in (folder, *folder.parents, repository):
-        if (candidate / "data_manifest.yaml").is_file():
-            return candidate / "data_manifest.yaml"
-    raise ManifestError(f"no data_manifest.yaml in {folder} or above it; run from inside the repository")
-
-
-def _lookup(entries: dict[str, Any], name: str, kind: str, path: Path) -> Any:
-    if name not in entries:
-        raise ManifestError(f"{path}: no {kind} {name!r}; the {kind}s are {_quoted(entries)}")
-    return entries[name]
-
-
-def _quoted(names: Any) -> str:
+def quoted(names: Any) -> str:
+    """List names for a message."""
     return ", ".join(repr(name) for name in names)
-
-
-# -- YAML with line numbers -------------------------------------------------------------------------------------------
-
-
-def _compose(path: Path) -> yaml.Node:
-    try:
-        node = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f":{mark.line + 1}" if mark else ""
-        raise ManifestError(f"{path}{where}: not valid YAML: {getattr(error, 'problem', error)}") from None
-    except UnicodeDecodeError as error:
-        raise ManifestError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from None
-    if not isinstance(node, yaml.MappingNode):
-        raise ManifestError(
-            f"{path}: found an empty or plain document; allowed: a mapping with the keys {_quoted(_Document.model_fields)}"
-        )
-    return node
-
-
-def _plain(node: yaml.Node, path: Path) -> Any:
-    """Build plain Python values, refusing a key that is written twice (YAML would keep the last silently)."""
-    if isinstance(node, yaml.MappingNode):
-        seen: dict[Any, int] = {}
-        result = {}
-        for key_node, value_node in node.value:
-            key = _plain(key_node, path)
-            if key in seen:
-                raise ManifestError(
-                    f"{path}:{key_node.start_mark.line + 1}: the key {key!r} is already on line {seen[key]}"
-                )
-            seen[key] = key_node.start_mark.line + 1
-            result[key] = _plain(value_node, path)
-        return result
-    if isinstance(node, yaml.SequenceNode):
-        return [_plain(item, path) for item in node.value]
-    loader = yaml.SafeLoader("")
-    try:
-        value = loader.construct_object(node)
-    finally:
-        loader.dispose()
-    # A number is accepted where a float is asked for, as every YAML author expects of `value: 25`.
-    return value
-
-
-def _line(root: yaml.Node, location: tuple[Any, ...]) -> int:
-    """Line of the deepest node on a key path that exists in the file."""
-    node, line = root, root.start_mark.line + 1
-    for part in location:
-        if isinstance(node, yaml.MappingNode):
-            child = next(((k, v) for k, v in node.value if k.value == str(part)), None)
-            if child is None:
-                break
-            line, node = child[0].start_mark.line + 1, child[1]
-        elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
-            node = node.value[part]
-            line = node.start_mark.line + 1
-        else:
-            break
-    return line
-
-
-def _explain(error: ValidationError, root: yaml.Node, path: Path, model: type[BaseModel] = _Document) -> Iterator[str]:
-    for fault in error.errors():
-        location = tuple(part for part in fault["loc"] if part != "[key]")
-        where = f"{path}:{_line(root, location)}: {'.'.join(map(str, location)) or 'manifest'}"
-        match fault["type"]:
-            case "extra_forbidden":
-                yield f"{where}: unknown key; allowed: {_quoted(_fields_at(model, location[:-1]))}"
-            case "missing":
-                yield f"{where}: this key is missing"
-            case "literal_error":
-                yield f"{where}: found {fault['input']!r}; allowed: {fault['ctx']['expected']}"
-            case "value_error":
-                yield f"{where}: {fault['ctx']['error']}"
-            case _:
-                found = fault["input"] if not isinstance(fault["input"], dict) else "a mapping"
-                yield f"{where}: found {found!r}; {fault['msg'][0].lower()}{fault['msg'][1:]}"
-
-
-def _fields_at(model: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
-    """Names of the keys that are allowed in the mapping at a key path, read off the models' annotations."""
-    annotation: Any = model
-    for part in location:
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            annotation = annotation.model_fields[str(part)].annotation
-        else:
-            annotation = get_args(annotation)[-1]
-        annotation = (
-            next(
-                (a for a in get_args(annotation) if isinstance(a, type) and issubclass(a, BaseModel)),
-                annotation,
-            )
-            if get_origin(annotation) in (Union, UnionType)
-            else annotation
-        )
-    return list(annotation.model_fields)

@@ -1,0 +1,139 @@
+"""The manifest: one typed, strict file that names every dataset, traversal, method and profile.
+
+Everything that changes a number is data in ``data_manifest.yaml``, written once. A wrong key, type, path or
+unit raises :class:`ManifestError`, which names the file, the line, the key path, the value found and the
+values allowed.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from artifact.manifest.entries import DatasetEntry, Document, ManifestError, MethodEntry, ProfileEntry, quoted
+from artifact.manifest.faults import compose, explain, plain
+
+DATA_ROOT_VARIABLE = "ARTIFACT_DATA_ROOT"
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """A checked manifest.
+
+    Attributes
+    ----------
+    path
+        The file it was read from.
+    data_root
+        Folder that holds the datasets: ``$ARTIFACT_DATA_ROOT`` if set, else the manifest's ``data_root``
+        (relative to the manifest).
+    datasets, methods, profiles
+        The entries by name, in the order of the file.
+    """
+
+    path: Path
+    data_root: Path
+    datasets: dict[str, DatasetEntry]
+    methods: dict[str, MethodEntry]
+    profiles: dict[str, ProfileEntry]
+
+    def dataset(self, name: str) -> DatasetEntry:
+        """Return one dataset entry, or raise :class:`ManifestError` with the names that exist."""
+        return _lookup(self.datasets, name, "dataset", self.path)
+
+    def method(self, name: str) -> MethodEntry:
+        """Return one method entry, or raise :class:`ManifestError` with the names that exist."""
+        return _lookup(self.methods, name, "method", self.path)
+
+    def profile(self, name: str) -> ProfileEntry:
+        """Return one profile entry, or raise :class:`ManifestError` with the names that exist."""
+        return _lookup(self.profiles, name, "profile", self.path)
+
+
+def load(path: str | os.PathLike[str] | None = None) -> Manifest:
+    """Read and check a manifest.
+
+    Parameters
+    ----------
+    path
+        The file; by default ``data_manifest.yaml`` in the working folder or the nearest folder above it.
+
+    Raises
+    ------
+    ManifestError
+        If the file is missing, is not YAML, repeats a key, or holds a key, type, value or name that is not
+        allowed. All faults are listed at once.
+    """
+    path = find() if path is None else Path(path)
+    if not path.is_file():
+        raise ManifestError(f"{path}: no such file; the manifest is data_manifest.yaml at the top of the repository")
+    root = compose(path)
+    try:
+        document = Document.model_validate(plain(root, path))
+    except ValidationError as error:
+        raise ManifestError("\n".join(explain(error, root, path))) from None
+    chosen = os.environ.get(DATA_ROOT_VARIABLE)
+    data_root = Path(chosen).expanduser() if chosen else path.resolve().parent / Path(document.data_root).expanduser()
+    return Manifest(
+        path=path.resolve(),
+        data_root=data_root.resolve(),
+        datasets=document.datasets,
+        methods={name: _with_folder(entry, data_root.resolve()) for name, entry in document.methods.items()},
+        profiles=document.profiles,
+    )
+
+
+def _with_folder(entry: MethodEntry, data_root: Path) -> MethodEntry:
+    if entry.weights is None:
+        return entry
+    folder = data_root / Path(entry.weights.folder).expanduser()
+    return entry.model_copy(update={"weights": entry.weights.model_copy(update={"folder": str(folder)})})
+
+
+def parse_dataset(path: Path, root: str) -> DatasetEntry:
+    """Read one dataset entry from a file of its own (``dataset.yaml``), with the same strictness.
+
+    Parameters
+    ----------
+    path
+        The file.
+    root
+        Folder of the dataset, used when the entry does not name one.
+    """
+    node = compose(path)
+    try:
+        entry = DatasetEntry.model_validate(plain(node, path))
+    except ValidationError as error:
+        raise ManifestError("\n".join(explain(error, node, path, DatasetEntry))) from None
+    return entry if entry.root else entry.model_copy(update={"root": root})
+
+
+def find(start: str | os.PathLike[str] | None = None) -> Path:
+    """Return the nearest ``data_manifest.yaml`` in ``start`` (default: the working folder) or above it.
+
+    If there is none, the manifest of the repository that the package is installed from is taken.
+
+    Raises
+    ------
+    ManifestError
+        If there is none.
+    """
+    folder = Path(start or Path.cwd()).resolve()
+    repository = Path(__file__).resolve().parents[2]
+    for candidate in (folder, *folder.parents, repository):
+        if (candidate / "data_manifest.yaml").is_file():
+            return candidate / "data_manifest.yaml"
+    raise ManifestError(f"no data_manifest.yaml in {folder} or above it; run from inside the repository")
+
+
+def _lookup(entries: dict[str, Any], name: str, kind: str, path: Path) -> Any:
+    if name not in entries:
+        raise ManifestError(f"{path}: no {kind} {name!r}; the {kind}s are {quoted(entries)}")
+    return entries[name]
+
+
+# -- YAML with line numbers -------------------------------------------------------------------------------------------

@@ -1,0 +1,110 @@
+"""YAML with line numbers, and faults in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from artifact.manifest.entries import Document, ManifestError, quoted
+
+
+def compose(path: Path) -> yaml.Node:
+    """Read YAML as nodes that know their lines, or raise :class:`ManifestError`."""
+    try:
+        node = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f":{mark.line + 1}" if mark else ""
+        raise ManifestError(f"{path}{where}: not valid YAML: {getattr(error, 'problem', error)}") from None
+    except UnicodeDecodeError as error:
+        raise ManifestError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from None
+    if not isinstance(node, yaml.MappingNode):
+        raise ManifestError(
+            f"{path}: found an empty or plain document; allowed: a mapping with the keys {quoted(Document.model_fields)}"
+        )
+    return node
+
+
+def plain(node: yaml.Node, path: Path) -> Any:
+    """Build plain Python values, refusing a key that is written twice (YAML would keep the last silently)."""
+    if isinstance(node, yaml.MappingNode):
+        seen: dict[Any, int] = {}
+        result = {}
+        for key_node, value_node in node.value:
+            key = plain(key_node, path)
+            if key in seen:
+                raise ManifestError(
+                    f"{path}:{key_node.start_mark.line + 1}: the key {key!r} is already on line {seen[key]}"
+                )
+            seen[key] = key_node.start_mark.line + 1
+            result[key] = plain(value_node, path)
+        return result
+    if isinstance(node, yaml.SequenceNode):
+        return [plain(item, path) for item in node.value]
+    loader = yaml.SafeLoader("")
+    try:
+        value = loader.construct_object(node)
+    finally:
+        loader.dispose()
+    # A number is accepted where a float is asked for, as every YAML author expects of `value: 25`.
+    return value
+
+
+def _line(root: yaml.Node, location: tuple[Any, ...]) -> int:
+    """Line of the deepest node on a key path that exists in the file."""
+    node, line = root, root.start_mark.line + 1
+    for part in location:
+        if isinstance(node, yaml.MappingNode):
+            child = next(((k, v) for k, v in node.value if k.value == str(part)), None)
+            if child is None:
+                break
+            line, node = child[0].start_mark.line + 1, child[1]
+        elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
+            node = node.value[part]
+            line = node.start_mark.line + 1
+        else:
+            break
+    return line
+
+
+def explain(error: ValidationError, root: yaml.Node, path: Path, model: type[BaseModel] = Document) -> Iterator[str]:
+    """Yield each fault of a validation with its line, key path, value found and values allowed."""
+    for fault in error.errors():
+        location = tuple(part for part in fault["loc"] if part != "[key]")
+        where = f"{path}:{_line(root, location)}: {'.'.join(map(str, location)) or 'manifest'}"
+        match fault["type"]:
+            case "extra_forbidden":
+                yield f"{where}: unknown key; allowed: {quoted(_fields_at(model, location[:-1]))}"
+            case "missing":
+                yield f"{where}: this key is missing"
+            case "literal_error":
+                yield f"{where}: found {fault['input']!r}; allowed: {fault['ctx']['expected']}"
+            case "value_error":
+                yield f"{where}: {fault['ctx']['error']}"
+            case _:
+                found = fault["input"] if not isinstance(fault["input"], dict) else "a mapping"
+                yield f"{where}: found {found!r}; {fault['msg'][0].lower()}{fault['msg'][1:]}"
+
+
+def _fields_at(model: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
+    """Names of the keys that are allowed in the mapping at a key path, read off the models' annotations."""
+    annotation: Any = model
+    for part in location:
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            annotation = annotation.model_fields[str(part)].annotation
+        else:
+            annotation = get_args(annotation)[-1]
+        annotation = (
+            next(
+                (a for a in get_args(annotation) if isinstance(a, type) and issubclass(a, BaseModel)),
+                annotation,
+            )
+            if get_origin(annotation) in (Union, UnionType)
+            else annotation
+        )
+    return list(annotation.model_fields)
