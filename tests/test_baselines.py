@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from artifact import methods
-from artifact.images import UnreadableImageError, read_image
+from artifact.datasets.images import UnreadableImageError, read_image
 from artifact.manifest.entries import Preprocessing
 from artifact.methods import efficientnet_lite
 from artifact.methods.hog import HOG

@@ -30,7 +30,7 @@ def load(project):
 def direct(traversal, entry, name):
     """Descriptors computed image by image, without the pipeline."""
     from artifact import methods
-    from artifact.images import read_image
+    from artifact.datasets.images import read_image
     from artifact.methods.preprocessing import prepare
 
     model = methods.build(name)

@@ -30,7 +30,7 @@ from artifact import (
     studies,
     verification,
 )
-from artifact.images import read_image
+from artifact.datasets.images import read_image
 from artifact.manifest.entries import ManifestError
 from artifact.matching import LocalMatcher
 from artifact.methods.preprocessing import prepare

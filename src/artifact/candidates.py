@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from artifact.ranking import positives_of, squared_norms
+from artifact.datasets.positives import positives_of
+from artifact.ranking import squared_norms
 
 Scores = Callable[[Any, np.ndarray, Any, np.ndarray], np.ndarray]
 """Second stage: ``(queries, query rows, images, image rows)`` to ``(p,)`` scores, larger is better."""

@@ -16,7 +16,7 @@ import numpy as np
 from artifact import datasets, extract, matching, ranking, rerank, rerank_sweeps, store
 from artifact.archive import stored
 from artifact.candidates import Images
-from artifact.datasets import Dataset
+from artifact.datasets import Dataset, positives
 from artifact.extract import Descriptors
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError
@@ -173,7 +173,7 @@ def _pool_rows(dataset: Dataset, name: str, size: int | None, seed: int) -> np.n
     positions = dataset.traversals[name].positions
     rows: np.ndarray | slice = slice(None)
     if name == dataset.query_name:
-        starts, _ = ranking.positives_of(positions, dataset.database.positions, dataset.threshold)
+        starts, _ = positives.positives_of(positions, dataset.database.positions, dataset.threshold)
         rows = np.flatnonzero(np.diff(starts))
     if size is None:
         return rows

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from artifact.counting import Counts
+from artifact.datasets.positives import positives_of
 from artifact.engines import Engine, engine_for
 
 Similarity = Literal["cosine", "dot", "l2"]
@@ -176,34 +176,6 @@ def rank(
         database=in_database,
         pools={(view, name): counts[view] for name, counts in in_pools.items() for view in transforms},
     )
-
-
-def positives_of(
-    query_positions: np.ndarray, database_positions: np.ndarray, threshold: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """List the database images within a threshold (inclusive) of each query.
-
-    Returns
-    -------
-    starts
-        ``(n_queries + 1,)`` int64.
-    positives
-        The positives of query ``i`` are ``positives[starts[i]:starts[i + 1]]``, ascending database indices.
-
-    Examples
-    --------
-    >>> starts, positives = positives_of(np.array([[0.0], [9.0]]), np.array([[1.0], [2.0], [3.0]]), 2.0)
-    >>> starts.tolist(), positives.tolist()
-    ([0, 2, 2], [0, 1])
-    """
-    near = cKDTree(database_positions).query_ball_point(query_positions, threshold * (1 + 1e-9), return_sorted=True)
-    lengths = np.fromiter((len(found) for found in near), np.int64, len(near))
-    indices = np.fromiter((index for found in near for index in found), np.int64, int(lengths.sum()))
-    owners = np.repeat(np.arange(len(near)), lengths)
-    # The tree compares squared distances with a little slack; the definition decides.
-    inside = np.linalg.norm(query_positions[owners] - database_positions[indices], axis=1) <= threshold
-    counts = np.bincount(owners[inside], minlength=len(near))
-    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), indices[inside]
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from artifact.images import UnreadableImageError, read_image
+from artifact.datasets.images import UnreadableImageError, read_image
 from artifact.manifest.entries import Preprocessing
 
 Prepared = np.ndarray | list[np.ndarray]

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from artifact.ranking import positives_of
+from artifact.datasets.positives import positives_of
 
 Where = Literal["centre", "edge"]
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from artifact import store
 from artifact.datasets import shipped
+from artifact.datasets.images import read_image
 from artifact.datasets.traversal import Traversal
-from artifact.images import read_image
 
 STATISTICS = ("brightness", "contrast", "saturation", "sharpness")
 """Mean luminance, its standard deviation, mean saturation, mean absolute Laplacian of the luminance; all from 0 to 1."""

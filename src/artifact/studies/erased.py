@@ -10,10 +10,11 @@ import pandas as pd
 
 from artifact import suppressed
 from artifact.archive import stored
+from artifact.datasets.positives import positives_of
 from artifact.manifest import Manifest
 from artifact.metrics import Evaluation
 from artifact.pipeline import Described, describe
-from artifact.ranking import ORIGINAL, positives_of
+from artifact.ranking import ORIGINAL
 from artifact.splits import Split
 from artifact.studies.common import PERCENT
 from artifact.suppression import INLP, LEACE

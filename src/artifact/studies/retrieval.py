@@ -10,9 +10,9 @@ import pandas as pd
 
 from artifact import datasets as data
 from artifact import extract, paper, pipeline
+from artifact.datasets.positives import positives_of
 from artifact.manifest import Manifest
 from artifact.manifest.entries import Preprocessing
-from artifact.ranking import positives_of
 from artifact.statistics import Interval, intervals
 from artifact.studies.common import METRICS, PERCENT, Study, is_reported, origin
 

@@ -1,0 +1,34 @@
+"""Which database images are positives of a query."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+
+def positives_of(
+    query_positions: np.ndarray, database_positions: np.ndarray, threshold: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """List the database images within a threshold (inclusive) of each query.
+
+    Returns
+    -------
+    starts
+        ``(n_queries + 1,)`` int64.
+    positives
+        The positives of query ``i`` are ``positives[starts[i]:starts[i + 1]]``, ascending database indices.
+
+    Examples
+    --------
+    >>> starts, positives = positives_of(np.array([[0.0], [9.0]]), np.array([[1.0], [2.0], [3.0]]), 2.0)
+    >>> starts.tolist(), positives.tolist()
+    ([0, 2, 2], [0, 1])
+    """
+    near = cKDTree(database_positions).query_ball_point(query_positions, threshold * (1 + 1e-9), return_sorted=True)
+    lengths = np.fromiter((len(found) for found in near), np.int64, len(near))
+    indices = np.fromiter((index for found in near for index in found), np.int64, int(lengths.sum()))
+    owners = np.repeat(np.arange(len(near)), lengths)
+    # The tree compares squared distances with a little slack; the definition decides.
+    inside = np.linalg.norm(query_positions[owners] - database_positions[indices], axis=1) <= threshold
+    counts = np.bincount(owners[inside], minlength=len(near))
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), indices[inside]
