@@ -19,16 +19,16 @@ from hypothesis import strategies as st
 from torch import nn
 from torch.nn import functional
 
-from artifact.methods.adapters import MultiScaleAdapter
 from artifact.methods.anyloc import anyloc, vlad
-from artifact.methods.attention import EncoderLayer, MultiHeadAttention
+from artifact.methods.blocks.adapters import MultiScaleAdapter
+from artifact.methods.blocks.attention import EncoderLayer, MultiHeadAttention
+from artifact.methods.blocks.dinov2 import GatedPerceptron, SelfAttention, feature_map, interpolate_positions
+from artifact.methods.blocks.pooling import GeM, unit_gem
 from artifact.methods.boq import boq
 from artifact.methods.cosplace import cosplace, eigenplaces
 from artifact.methods.cricavpr import cricavpr
-from artifact.methods.dinov2 import GatedPerceptron, SelfAttention, feature_map, interpolate_positions
 from artifact.methods.megaloc import megaloc, resize_to_patches
 from artifact.methods.mixvpr import mixvpr
-from artifact.methods.pooling import GeM, unit_gem
 from artifact.methods.salad import assign_by_transport, salad, salad_cm
 from artifact.methods.selavpr import match_count, selavpr
 from artifact.methods.selavprpp import selavprpp

@@ -10,9 +10,9 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from artifact.methods.dinov2 import GatedPerceptron, VisionTransformer
-from artifact.methods.inputs import PATCH, check_images
-from artifact.methods.untrained import untrained
+from artifact.methods.blocks.dinov2 import GatedPerceptron, VisionTransformer
+from artifact.methods.blocks.inputs import PATCH, check_images
+from artifact.methods.blocks.untrained import untrained
 
 _WIDTH = 1536
 _CLUSTERS = 32

@@ -10,10 +10,10 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from artifact.methods.attention import EncoderLayer, MultiHeadAttention
-from artifact.methods.dinov2 import feature_map, vit_base
-from artifact.methods.inputs import PATCH, check_images
-from artifact.methods.untrained import untrained
+from artifact.methods.blocks.attention import EncoderLayer, MultiHeadAttention
+from artifact.methods.blocks.dinov2 import feature_map, vit_base
+from artifact.methods.blocks.inputs import PATCH, check_images
+from artifact.methods.blocks.untrained import untrained
 
 _WIDTH = 384
 _HEADS = 6

@@ -9,10 +9,10 @@ from __future__ import annotations
 import torch
 from torch import nn
 
-from artifact.methods.inputs import check_images
-from artifact.methods.pooling import L2Norm, unit_gem
-from artifact.methods.resnet import RESNET50, RESNET101, resnet_stages
-from artifact.methods.untrained import untrained
+from artifact.methods.blocks.inputs import check_images
+from artifact.methods.blocks.pooling import L2Norm, unit_gem
+from artifact.methods.blocks.resnet import RESNET50, RESNET101, resnet_stages
+from artifact.methods.blocks.untrained import untrained
 
 
 class PooledResNet(nn.Module):

@@ -12,12 +12,12 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from artifact.methods.adapters import MultiScaleAdapter
-from artifact.methods.attention import EncoderLayer
-from artifact.methods.dinov2 import Block, feature_map, vit_base
-from artifact.methods.inputs import PATCH, check_images
-from artifact.methods.pooling import unit_gem
-from artifact.methods.untrained import untrained
+from artifact.methods.blocks.adapters import MultiScaleAdapter
+from artifact.methods.blocks.attention import EncoderLayer
+from artifact.methods.blocks.dinov2 import Block, feature_map, vit_base
+from artifact.methods.blocks.inputs import PATCH, check_images
+from artifact.methods.blocks.pooling import unit_gem
+from artifact.methods.blocks.untrained import untrained
 
 _SIDE = 224  # pixels: the regions are fixed on a grid of 16 × 16 patches
 _GRID = (_SIDE // PATCH, _SIDE // PATCH)

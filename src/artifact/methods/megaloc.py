@@ -6,10 +6,10 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from artifact.methods.dinov2 import feature_map, vit_base
-from artifact.methods.inputs import PATCH, check_images
+from artifact.methods.blocks.dinov2 import feature_map, vit_base
+from artifact.methods.blocks.inputs import PATCH, check_images
+from artifact.methods.blocks.untrained import untrained
 from artifact.methods.salad import CLUSTERS, OptimalTransportAggregator
-from artifact.methods.untrained import untrained
 
 _DIMENSION = 8448
 

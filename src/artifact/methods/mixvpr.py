@@ -11,9 +11,9 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from artifact.methods.inputs import check_images
-from artifact.methods.resnet import RESNET50, resnet_stages
-from artifact.methods.untrained import untrained
+from artifact.methods.blocks.inputs import check_images
+from artifact.methods.blocks.resnet import RESNET50, resnet_stages
+from artifact.methods.blocks.untrained import untrained
 
 _SIDE = 320  # pixels: the perceptrons are trained for (320 / 16)² = 400 positions
 _POSITIONS = 400

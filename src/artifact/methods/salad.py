@@ -13,9 +13,9 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from artifact.methods.dinov2 import feature_map, vit_base
-from artifact.methods.inputs import PATCH, check_images
-from artifact.methods.untrained import untrained
+from artifact.methods.blocks.dinov2 import feature_map, vit_base
+from artifact.methods.blocks.inputs import PATCH, check_images
+from artifact.methods.blocks.untrained import untrained
 
 CLUSTERS = 64
 _HIDDEN = 512

@@ -6,11 +6,11 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from artifact.methods.adapters import BottleneckAdapter
-from artifact.methods.dinov2 import Block, feature_map, vit_large
-from artifact.methods.inputs import check_images
-from artifact.methods.pooling import unit_gem
-from artifact.methods.untrained import untrained
+from artifact.methods.blocks.adapters import BottleneckAdapter
+from artifact.methods.blocks.dinov2 import Block, feature_map, vit_large
+from artifact.methods.blocks.inputs import check_images
+from artifact.methods.blocks.pooling import unit_gem
+from artifact.methods.blocks.untrained import untrained
 
 _SIDE = 224  # pixels: the authors lay the patches out on 16 × 16 whatever the image
 _ADAPTER_SCALE = 0.2

@@ -13,11 +13,11 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from artifact.methods.adapters import MultiScaleAdapter
-from artifact.methods.dinov2 import VisionTransformer, feature_map
-from artifact.methods.inputs import PATCH, check_images
-from artifact.methods.pooling import unit_gem
-from artifact.methods.untrained import untrained
+from artifact.methods.blocks.adapters import MultiScaleAdapter
+from artifact.methods.blocks.dinov2 import VisionTransformer, feature_map
+from artifact.methods.blocks.inputs import PATCH, check_images
+from artifact.methods.blocks.pooling import unit_gem
+from artifact.methods.blocks.untrained import untrained
 
 _WIDTH = 1024
 _DEPTH = 24

@@ -11,7 +11,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from artifact.methods.inputs import PATCH
+from artifact.methods.blocks.inputs import PATCH
 
 TRAINED_GRID = 37  # patches on a side of the 518 × 518 pixel images of the last training stage
 _EPSILON = 1e-6  # of the layer normalisations; PyTorch's default is ten times larger
