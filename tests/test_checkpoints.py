@@ -19,9 +19,9 @@ from released import Tiny, entry_of, equal, names_in, packed, put, running, stat
 from safetensors.torch import save_file
 from torch import nn
 
-from artifact import checkpoints, methods
-from artifact.checkpoints import CheckpointError
-from artifact.weights import WeightsError
+from artifact import methods
+from artifact.methods.weights import WeightsError, checkpoints
+from artifact.methods.weights.checkpoints import CheckpointError
 
 
 @pytest.fixture

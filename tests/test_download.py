@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from released import names_in, running
 
-from artifact import download
-from artifact.download import DownloadError
+from artifact.methods.weights import download
+from artifact.methods.weights.download import DownloadError
 
 
 @pytest.fixture

@@ -21,10 +21,11 @@ from conftest import REPOSITORY, THUMBNAIL, tiny_manifest, write_images, write_m
 from filled_weights import filled, images
 from released import Aggregated, Tiny, entry_of, equal, names_in, packed, put, running, state_of
 
-from artifact import cli, datasets, download, extract, manifest, methods, runner, store, verification, weights
+from artifact import cli, datasets, extract, manifest, methods, runner, store, verification
 from artifact.manifest.entries import ManifestError, MethodEntry
+from artifact.methods import weights
 from artifact.methods.mixvpr import mixvpr
-from artifact.weights import WeightsError
+from artifact.methods.weights import WeightsError, download
 
 PAPER_METHODS = (
     "anyloc", "boq", "cosplace", "cricavpr", "eigenplaces", "megaloc", "mixvpr", "salad", "salad_cm", "selavpr", "selavprpp",
@@ -637,5 +638,5 @@ def test_verify_finds_weights_that_changed_behind_their_time_stamp(tmp_path, ser
 
 
 def test_names_and_states_of_weights_need_no_torch():
-    code = "import sys, artifact.methods, artifact.weights; artifact.methods.names(); sys.exit('torch' in sys.modules)"
+    code = "import sys, artifact.methods, artifact.methods.weights; artifact.methods.names(); sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -39,10 +39,10 @@ def _user_errors() -> tuple[type[Exception], ...]:
     from artifact.datasets import DatasetError
     from artifact.extract import ExtractionError
     from artifact.manifest.entries import ManifestError
+    from artifact.methods.weights import WeightsError
     from artifact.parameters import ParameterError
     from artifact.runner import NotebookError
     from artifact.store import StoreError
-    from artifact.weights import WeightsError
 
     return (
         BookError, DatasetError, ExtractionError, ManifestError, ParameterError, NotebookError, StoreError,
@@ -195,7 +195,8 @@ def _data(options: argparse.Namespace) -> int:
 
 def _fetch_weights(manifest: Any, profile: str) -> int:
     """Show licence and terms of all missing weights, then fetch them; return the number of methods left without."""
-    from artifact import methods, weights
+    from artifact import methods
+    from artifact.methods import weights
 
     entries = {name: manifest.method(name) for name in manifest.profile(profile).methods}
     sys.stdout.write(weights.announcement(entries))
@@ -215,7 +216,8 @@ def _fetch_weights(manifest: Any, profile: str) -> int:
 
 
 def _extract(options: argparse.Namespace) -> None:
-    from artifact import extract, planning, runner, shipping, weights
+    from artifact import extract, planning, runner, shipping
+    from artifact.methods import weights
 
     manifest = _manifest(options)
     profile = manifest.profile(options.profile)
@@ -274,7 +276,8 @@ def _bench(options: argparse.Namespace) -> None:
 
 
 def _status(options: argparse.Namespace) -> None:
-    from artifact import book, weights
+    from artifact import book
+    from artifact.methods import weights
 
     manifest = _manifest(options)
     for name in manifest.profile(options.profile).methods:

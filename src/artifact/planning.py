@@ -18,12 +18,13 @@ import numpy as np
 from PIL import Image
 from tqdm import tqdm
 
-from artifact import datasets, extract, local_features, reading, store, timing, weights
+from artifact import datasets, extract, local_features, reading, store, timing
 from artifact.datasets import folder, shipped
 from artifact.datasets.rendered import is_rendered, rendered
 from artifact.datasets.traversal import Traversal
 from artifact.manifest import Manifest
 from artifact.manifest.entries import DatasetEntry, MethodEntry
+from artifact.methods import weights
 
 if TYPE_CHECKING:
     import torch

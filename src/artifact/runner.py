@@ -24,8 +24,9 @@ import papermill
 from papermill.exceptions import PapermillExecutionError
 from tqdm import tqdm
 
-from artifact import datasets, extract, methods, parameters, store, timing, weights
+from artifact import datasets, extract, methods, parameters, store, timing
 from artifact.manifest import Manifest
+from artifact.methods import weights
 from artifact.notebook import NothingToShowError
 
 _RUN_WITH = ("papermill", "ipykernel", "numpy", "torch", "scikit-learn", "pandas", "matplotlib")

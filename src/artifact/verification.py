@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pandas as pd
 
-from artifact import datasets, paper, store, studies, weights, weights_lock
+from artifact import datasets, paper, store, studies
 from artifact.datasets import shipped
 from artifact.manifest import Manifest
+from artifact.methods import weights
+from artifact.methods.weights import lock
 
 
 def verify(manifest: Manifest, profile: str) -> tuple[list[str], int]:
@@ -53,9 +55,9 @@ def _verify_weights(manifest: Manifest, profile: str) -> tuple[list[str], int]:
         entry = manifest.method(name).weights
         paths = [weights.path_of(entry, file) for file in entry.files] if entry else []
         for path in paths:
-            if path.exists() and weights_lock.path_of(path).exists():
+            if path.exists() and lock.path_of(path).exists():
                 checked += 1
-                if store.digest_of_file(path) != weights_lock.read(path)["sha256"]:
+                if store.digest_of_file(path) != lock.read(path)["sha256"]:
                     faults.append(f"CHANGED   {path}: its content differs from its lock file; fetch it anew")
     return [f"{checked} files of weights, {len(faults)} changed", *faults] if checked else [], len(faults)
 

@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from artifact import manifest as manifests
-from artifact import store, weights
+from artifact import store
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError, MethodEntry, WeightsFile
-from artifact.weights import WeightsError
+from artifact.methods import weights
+from artifact.methods.weights import WeightsError
 
 if TYPE_CHECKING:
     import torch
@@ -120,7 +121,7 @@ def model_of(name: str, entry: MethodEntry) -> nn.Module:
         if weights.is_required(entry):
             raise WeightsError(weights.state(name, entry).detail)
         return _untrained(name, entry)
-    from artifact import checkpoints
+    from artifact.methods.weights import checkpoints
 
     weights.require({name: entry})
     check = _check(name, entry)
@@ -135,7 +136,7 @@ def model_of(name: str, entry: MethodEntry) -> nn.Module:
 
 
 def fetch(name: str, entry: MethodEntry, *, progress: bool = True) -> None:
-    """Download and examine what is missing of a method's weights; see :func:`artifact.weights.fetch`.
+    """Download and examine what is missing of a method's weights; see :func:`artifact.methods.weights.fetch`.
 
     Raises
     ------
@@ -152,7 +153,7 @@ def _check(name: str, entry: MethodEntry) -> weights.Check:
     """Return the question whether a file of weights fits the part of the model that it is for."""
 
     def digest(file: WeightsFile, found: Path) -> str:
-        from artifact import checkpoints
+        from artifact.methods.weights import checkpoints
 
         try:
             state = checkpoints.read(found, container=file.container, tensor=file.tensor)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pandas as pd
 
-from artifact import methods, timing, weights
+from artifact import methods, timing
 from artifact.manifest import Manifest
-from artifact.methods import parity
+from artifact.methods import parity, weights
 
 COLUMNS = [
     "method", "title", "parameters", "dimension", "seconds", "timed", "code_licence", "weights", "weights_licence", "terms", "how",

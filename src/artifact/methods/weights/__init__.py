@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from artifact import download, store, weights_lock
+from artifact import store
 from artifact.manifest.entries import MethodEntry, WeightsEntry, WeightsFile
-from artifact.weights_lock import WeightsError
+from artifact.methods.weights import download, lock
+from artifact.methods.weights.lock import WeightsError
 
 Status = Literal["not needed", "present", "not checked yet", "missing", "changed"]
 
@@ -85,10 +86,10 @@ def _state_of_file(name: str, entry: WeightsEntry, file: WeightsFile) -> tuple[S
     path = path_of(entry, file)
     if not path.exists():
         return "missing", how_to_get(name, entry, file)
-    if not weights_lock.path_of(path).exists():
+    if not lock.path_of(path).exists():
         return "not checked yet", f"{name}: {path} is there and will be checked when it is first used"
     try:
-        return "present", f"{name}: {path}, SHA-256 {weights_lock.compare(file, path)}"
+        return "present", f"{name}: {path}, SHA-256 {lock.compare(file, path)}"
     except WeightsError as error:
         return "changed", str(error)
 
@@ -125,9 +126,9 @@ def digests(entry: WeightsEntry) -> list[str | None]:
 
 def _digest(entry: WeightsEntry, file: WeightsFile) -> str | None:
     path = path_of(entry, file)
-    if weights_lock.path_of(path).exists():
-        return weights_lock.compare(file, path) if path.exists() else weights_lock.read(path)["sha256"]
-    return weights_lock.sha256(path) if path.exists() else file.sha256
+    if lock.path_of(path).exists():
+        return lock.compare(file, path) if path.exists() else lock.read(path)["sha256"]
+    return lock.sha256(path) if path.exists() else file.sha256
 
 
 def verified(name: str, entry: WeightsEntry, file: WeightsFile, check: Check) -> Path:
@@ -149,14 +150,14 @@ def verified(name: str, entry: WeightsEntry, file: WeightsFile, check: Check) ->
     path = path_of(entry, file)
     if not path.exists():
         raise WeightsError(how_to_get(name, entry, file))
-    if weights_lock.path_of(path).exists():
-        weights_lock.compare(file, path)
+    if lock.path_of(path).exists():
+        lock.compare(file, path)
     else:
         try:
             tensors = _examine(file, path, path, check)
         except WeightsError as error:
             raise WeightsError(f"{name}: {path} is refused\n  {error}\n{_by_hand(entry, file)}") from None
-        weights_lock.write(path, url=_BY_HAND, method=name, tensors=tensors)
+        lock.write(path, url=_BY_HAND, method=name, tensors=tensors)
     return path
 
 
@@ -226,7 +227,7 @@ def _make_ready(name: str, entry: WeightsEntry, file: WeightsFile, check: Check,
     if path.exists():
         verified(name, entry, file, check)
         return
-    with weights_lock.writing(path), store.lock(path):
+    with lock.writing(path), store.lock(path):
         if path.exists():  # another process was faster
             return
         tried = []
@@ -242,7 +243,7 @@ def _make_ready(name: str, entry: WeightsEntry, file: WeightsFile, check: Check,
                 tried.append(f"  {url}\n    {error}")
             else:
                 partial.replace(path)
-                weights_lock.write(path, url=url, method=name, tensors=tensors)
+                lock.write(path, url=url, method=name, tensors=tensors)
                 for rest in path.parent.glob(f".{file.file}.*.partial*"):
                     rest.unlink()
                 return
@@ -260,10 +261,10 @@ def _by_hand(entry: WeightsEntry, file: WeightsFile) -> str:
 
 def _examine(file: WeightsFile, found: Path, path: Path, check: Check) -> str:
     """Return the digest of a file's tensors, or refuse the file; its bytes lie at ``found``, it belongs at ``path``."""
-    digest = weights_lock.check_against_manifest(file, found)
-    weights_lock.refuse_change(path, digest)
+    digest = lock.check_against_manifest(file, found)
+    lock.refuse_change(path, digest)
     tensors = check(file, found)
-    weights_lock.refuse_twin(path, digest, tensors)
+    lock.refuse_twin(path, digest, tensors)
     return tensors
 
 

@@ -2,7 +2,7 @@
 
 What has arrived lies in a partial file; a journal beside it records the address, and how the server names this version
 of the file (``ETag`` or ``Last-Modified``). A later call asks for the rest of the same version; if the server has
-another one by then, the file is fetched anew. Nothing here judges the content: see :mod:`artifact.weights`.
+another one by then, the file is fetched anew. Nothing here judges the content: see :mod:`artifact.methods.weights`.
 """
 
 from __future__ import annotations

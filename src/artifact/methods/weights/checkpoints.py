@@ -18,7 +18,7 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 
-from artifact.download import looks_like_page
+from artifact.methods.weights.download import looks_like_page
 
 _LISTED = 20
 _CONTAINERS = ("state_dict", "model_state_dict")

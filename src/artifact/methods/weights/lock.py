@@ -58,7 +58,7 @@ def write(path: Path, *, url: str, method: str, tensors: str) -> None:
     method
         The method whose model it fits.
     tensors
-        Digest of its tensors, see :func:`artifact.checkpoints.digest`.
+        Digest of its tensors, see :func:`artifact.methods.weights.checkpoints.digest`.
     """
     status = path.stat()
     record = {
