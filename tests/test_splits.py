@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from artifact.probe import probe_accuracy, probe_split
-from artifact.splits import fit_region, split
+from artifact.suppression.probe import probe_accuracy, probe_split
+from artifact.suppression.regions import fit_region, split
 
 
 @st.composite

@@ -8,7 +8,8 @@ import synthetic
 from artifact import compose, evaluate, findings, studies, suppressed
 from artifact.manifest.entries import ManifestError
 from artifact.studies import within
-from artifact.suppression import INLP, LEACE
+from artifact.suppression.inlp import INLP
+from artifact.suppression.leace import LEACE
 
 
 @pytest.fixture

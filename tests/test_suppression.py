@@ -13,9 +13,10 @@ from sklearn.exceptions import ConvergenceWarning, NotFittedError
 from sklearn.linear_model import LogisticRegression, SGDClassifier
 from sklearn.metrics import balanced_accuracy_score
 
-from artifact import INLP, LEACE, STD, compose, evaluate, lowrank
-from artifact.lowrank import LowRankMap
-from artifact.suppression import _coordinates
+from artifact import INLP, LEACE, STD, compose, evaluate
+from artifact.suppression import lowrank
+from artifact.suppression.inlp import _coordinates
+from artifact.suppression.lowrank import LowRankMap
 
 with warnings.catch_warnings():  # the package uses parts of torch that are deprecated
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -220,14 +221,14 @@ def test_the_same_seed_gives_the_same_directions():
 
 
 def test_classifiers_that_do_not_converge_are_counted_once(monkeypatch):
-    from artifact import suppression
+    from artifact.suppression import inlp
 
     impatient = type(
         "SGDClassifier",
         (SGDClassifier,),
         {"__init__": lambda self, **kw: SGDClassifier.__init__(self, **{**kw, "max_iter": 1})},
     )
-    monkeypatch.setattr(suppression, "SGDClassifier", impatient)
+    monkeypatch.setattr(inlp, "SGDClassifier", impatient)
     X, condition = labelled(60, 20, 2)
     with pytest.warns(ConvergenceWarning, match="3 of 3 INLP classifiers did not converge") as caught:
         INLP(n_iterations=3).fit(X, condition)

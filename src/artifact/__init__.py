@@ -7,17 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from artifact import methods
-    from artifact.lowrank import LowRankMap, compose
     from artifact.metrics import Evaluation, evaluate
-    from artifact.splits import fit_region
-    from artifact.suppression import INLP, LEACE, STD
+    from artifact.suppression.inlp import INLP
+    from artifact.suppression.leace import LEACE
+    from artifact.suppression.lowrank import LowRankMap, compose
+    from artifact.suppression.regions import fit_region
+    from artifact.suppression.std import STD
 
 __version__ = "1.0.0"
 __all__ = ["INLP", "LEACE", "STD", "Evaluation", "LowRankMap", "compose", "evaluate", "fit_region", "methods"]
 
 _HOMES = {
-    "INLP": "suppression", "LEACE": "suppression", "STD": "suppression", "LowRankMap": "lowrank", "compose": "lowrank",
-    "Evaluation": "metrics", "evaluate": "metrics", "fit_region": "splits",
+    "INLP": "suppression.inlp", "LEACE": "suppression.leace", "STD": "suppression.std", "LowRankMap": "suppression.lowrank",
+    "compose": "suppression.lowrank",
+    "Evaluation": "metrics", "evaluate": "metrics", "fit_region": "suppression.regions",
 }  # fmt: skip
 
 

@@ -16,10 +16,10 @@ import torch
 
 from artifact import forward, methods, reading, shards, timing
 from artifact.datasets import Traversal
-from artifact.lowrank import LowRankMap
 from artifact.manifest import Manifest
 from artifact.manifest.entries import MethodEntry
 from artifact.metrics import evaluate
+from artifact.suppression.lowrank import LowRankMap
 
 N_QUERIES, N_DATABASE = 6000, 7500
 _BLOCK = 1024

@@ -12,15 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from artifact import probe, ranking, store, suppression
+from artifact import ranking, store, suppression
 from artifact.archive import stored
-from artifact.lowrank import LowRankMap, compose
 from artifact.manifest import Manifest
 from artifact.metrics import Evaluation, evaluate
 from artifact.pipeline import Described, describe
 from artifact.ranking import ORIGINAL
-from artifact.splits import Split, Where, split
-from artifact.suppression import INLP, LEACE, STD
+from artifact.suppression import probe
+from artifact.suppression.inlp import INLP
+from artifact.suppression.leace import LEACE
+from artifact.suppression.lowrank import LowRankMap, compose
+from artifact.suppression.regions import Split, Where, split
+from artifact.suppression.std import STD
 
 QUERY, DATABASE = 0, 1  # the condition labels of the paper: query against database
 LOW_RANK = ("INLP", "LEACE")

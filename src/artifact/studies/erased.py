@@ -15,9 +15,10 @@ from artifact.manifest import Manifest
 from artifact.metrics import Evaluation
 from artifact.pipeline import Described, describe
 from artifact.ranking import ORIGINAL
-from artifact.splits import Split
 from artifact.studies.common import PERCENT
-from artifact.suppression import INLP, LEACE
+from artifact.suppression.inlp import INLP
+from artifact.suppression.leace import LEACE
+from artifact.suppression.regions import Split
 
 PAIRS = 20_000
 """Most pairs of images of one kind whose similarities are kept, drawn at random."""

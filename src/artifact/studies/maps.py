@@ -13,13 +13,13 @@ import pandas as pd
 from artifact import datasets as data
 from artifact import store, suppressed
 from artifact.archive import stored
-from artifact.lowrank import LowRankMap
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError
 from artifact.metrics import Evaluation, evaluate
 from artifact.pipeline import Described, describe
 from artifact.ranking import ORIGINAL
-from artifact.suppression import INLP
+from artifact.suppression.inlp import INLP
+from artifact.suppression.lowrank import LowRankMap
 
 MIXED_SHARE = 0.05
 """Share of the frames of a traversal with the query's kind of condition that joins the database (paper Figs. 2, 9)."""

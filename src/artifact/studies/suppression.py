@@ -281,7 +281,7 @@ def _evaluate_pair(
     described: Described, query: str, database: str, fraction: float, views: dict[str, Any], seed: int
 ) -> Evaluation:  # fmt: skip
     """Evaluate another pair of traversals of a dataset outside the dataset's own fitting region."""
-    from artifact.splits import split
+    from artifact.suppression.regions import split
 
     traversals = described.dataset.traversals
     places = traversals[query].positions, traversals[database].positions

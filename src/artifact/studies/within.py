@@ -25,10 +25,11 @@ from artifact.manifest import Manifest
 from artifact.metrics import Evaluation, evaluate
 from artifact.pipeline import Described, Measured, describe
 from artifact.ranking import ORIGINAL
-from artifact.splits import Split
 from artifact.statistics import block_length, resamples
 from artifact.studies.common import PERCENT, Study, origin
-from artifact.suppression import INLP, LEACE
+from artifact.suppression.inlp import INLP
+from artifact.suppression.leace import LEACE
+from artifact.suppression.regions import Split
 
 VIEWS = (ORIGINAL, "LEACE", "INLP")
 

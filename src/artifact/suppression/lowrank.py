@@ -72,7 +72,7 @@ def compose(*steps: Any) -> LowRankMap:
     Parameters
     ----------
     *steps
-        Fitted :class:`~artifact.suppression.INLP` or :class:`~artifact.suppression.LEACE` estimators, or low-rank maps;
+        Fitted :class:`~artifact.suppression.inlp.INLP` or :class:`~artifact.suppression.leace.LEACE` estimators, or low-rank maps;
         the first is applied first. Nothing is normalised in between.
 
     Raises

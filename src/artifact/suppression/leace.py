@@ -1,0 +1,103 @@
+"""LEACE: the least change of descriptors after which no linear classifier can tell the conditions apart."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.utils.validation import check_is_fitted
+
+from artifact.suppression.lowrank import LowRankMap
+from artifact.suppression.samples import checked_fit, gram_matrix, scatter_matrix, spectrum, weighted_sum
+
+
+class LEACE(TransformerMixin, BaseEstimator):
+    """Least-squares concept erasure (Belrose et al. 2023), exact and without ``d × d`` matrices.
+
+    The paper's formula (§IV-C) with whitening ``W = (Σ_XX^(1/2))^+`` equals
+    ``r(x) = x - A (A'B)^+ B' (x - μ)`` with ``A = X_c' Z_c`` and ``B`` the minimum-norm least-squares solution of
+    ``X_c B = Z_c``: memory O(n d).
+
+    Parameters
+    ----------
+    shrinkage
+        Whether to shrink the covariance linearly towards a multiple of the identity (Bodnar et al. 2014), as the
+        reference implementation does by default; the paper's formula does not.
+    tolerance
+        Eigenvalues at or below this share of the largest count as zero; ``None`` is the larger of n and d times the
+        float64 epsilon.
+    device
+        Where the large matrix products run; ``None`` is the CPU.
+
+    Attributes
+    ----------
+    map_
+        The fitted :class:`~artifact.suppression.lowrank.LowRankMap`; its rank is at most the number of conditions minus 1.
+    mean_
+        ``(d,)`` mean of the fitting data, which the map keeps.
+    """
+
+    def __init__(self, shrinkage: bool = False, tolerance: float | None = None, device: Any = None) -> None:
+        self.shrinkage = shrinkage
+        self.tolerance = tolerance
+        self.device = device
+
+    def fit(self, X: np.ndarray, condition: np.ndarray) -> LEACE:
+        """Fit on descriptors ``(n, d)`` and their conditions ``(n,)``.
+
+        Raises
+        ------
+        ValueError
+            If there are fewer than two conditions or two rows in one, or the descriptors are constant or not finite.
+        """
+        X, condition = checked_fit(X, condition)
+        self.mean_ = X.mean(axis=0, dtype=np.float64)
+        labels = (condition[:, None] == np.unique(condition)).astype(np.float64)
+        labels -= labels.mean(axis=0)
+        cross = weighted_sum(X, self.mean_, labels)
+        solution = self._regression(X, cross, labels)
+        inner = cross.T @ solution
+        values, vectors = spectrum((inner + inner.T) / 2, 1e-10)
+        left = cross @ (vectors / values)
+        right = solution @ vectors
+        self.map_ = LowRankMap(left, right, right.T @ self.mean_)
+        return self
+
+    def _regression(self, X: np.ndarray, cross: np.ndarray, labels: np.ndarray) -> np.ndarray:
+        """Minimum-norm solution of ``X_c B = Z_c``, or its shrunk form ``(α S + γ I)^-1 A``, up to a factor."""
+        n, d = X.shape
+        dual = n <= d
+        gram = (gram_matrix if dual else scatter_matrix)(X, self.mean_, self.device)
+        if self.shrinkage:
+            alpha, gamma = _shrinkage(gram / n, n, d)
+            gram = alpha * gram / n
+            gram[np.diag_indices_from(gram)] += gamma
+            solved = linalg.solve(gram, labels if dual else cross, assume_a="pos")
+            return weighted_sum(X, self.mean_, solved) if dual else solved
+        tolerance = max(n, d) * np.finfo(np.float64).eps if self.tolerance is None else self.tolerance
+        values, vectors = spectrum(gram, tolerance)
+        solved = vectors @ ((vectors.T @ (labels if dual else cross)) / values[:, None])
+        return weighted_sum(X, self.mean_, solved) if dual else solved
+
+    def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the fitted map as ``left``, ``right``, ``offset``."""
+        check_is_fitted(self)
+        return self.map_.low_rank()
+
+    def transform(self, X: np.ndarray) -> np.ndarray:
+        """Erase the conditions from descriptors ``(n, d)``; the dtype is kept."""
+        check_is_fitted(self)
+        return self.map_.transform(X)
+
+
+def _shrinkage(covariance: np.ndarray, n: int, d: int) -> tuple[float, float]:
+    """Weights of the covariance and of the identity in the optimal linear shrinkage (Bodnar et al. 2014).
+
+    Needs only trace and Frobenius norm, which the ``n × n`` form of the covariance shares.
+    """
+    trace = float(np.trace(covariance))
+    spread = float((covariance**2).sum()) - trace**2 / d
+    alpha = 1 - min(1.0, trace**2 / n / spread) if spread > 0 else 0.0
+    return alpha, (1 - alpha) * trace / d

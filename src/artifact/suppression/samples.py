@@ -1,0 +1,71 @@
+"""Checked fitting data, and sums over many samples in little memory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+_CHUNK = 4096  # columns that are widened to float64 at a time
+
+
+def checked_fit(X: np.ndarray, condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return descriptors and conditions as arrays, or raise ``ValueError`` if nothing can be fitted on them."""
+    X, condition = np.asarray(X), np.asarray(condition)
+    if X.ndim != 2 or 0 in X.shape or X.dtype.kind != "f":
+        raise ValueError(f"descriptors have the shape {X.shape} and type {X.dtype}; allowed: (n, d) of a float type")
+    if condition.shape != (len(X),):
+        raise ValueError(f"condition has the shape {condition.shape}; allowed: ({len(X)},), one per descriptor")
+    bad = np.flatnonzero(~np.isfinite(X.sum(axis=1, dtype=np.float64)))
+    if bad.size:
+        raise ValueError(f"row {bad[0]} of the descriptors has NaN or infinite values")
+    names, counts = np.unique(condition, return_counts=True)
+    if len(names) < 2:
+        raise ValueError(f"all {len(X)} descriptors have the condition {names[0]}; at least two conditions are needed")
+    if counts.min() < 2:
+        raise ValueError(f"condition {names[counts.argmin()]} has one descriptor; at least two are needed")
+    if (X[:1] == X).all():
+        raise ValueError(f"all {len(X)} descriptors are the same; nothing can be fitted")
+    return X, condition
+
+
+def _chunks(width: int) -> range:
+    return range(0, width, _CHUNK)
+
+
+def gram_matrix(X: np.ndarray, mean: np.ndarray, device: Any) -> np.ndarray:
+    """Return ``(X - mean)(X - mean)'`` in float64, a slice of columns at a time."""
+    import torch
+
+    target = torch.device(device or "cpu")
+    total = torch.zeros((len(X), len(X)), dtype=torch.float64, device=target)
+    for start in _chunks(X.shape[1]):
+        part = X[:, start : start + _CHUNK].astype(np.float64) - mean[start : start + _CHUNK]
+        block = torch.from_numpy(part).to(target)
+        total.addmm_(block, block.T)
+    return total.cpu().numpy()
+
+
+def scatter_matrix(X: np.ndarray, mean: np.ndarray, device: Any) -> np.ndarray:
+    """Return ``(X - mean)'(X - mean)`` in float64; for more rows than columns."""
+    import torch
+
+    block = torch.from_numpy(X.astype(np.float64) - mean).to(torch.device(device or "cpu"))
+    return (block.T @ block).cpu().numpy()
+
+
+def weighted_sum(X: np.ndarray, mean: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return ``(X - mean)' weights`` in float64, a slice of columns at a time."""
+    out = np.empty((X.shape[1], weights.shape[1]))
+    for start in _chunks(X.shape[1]):
+        part = X[:, start : start + _CHUNK].astype(np.float64) - mean[start : start + _CHUNK]
+        out[start : start + _CHUNK] = part.T @ weights
+    return out
+
+
+def spectrum(matrix: np.ndarray, tolerance: float = 1e-12) -> tuple[np.ndarray, np.ndarray]:
+    """Return the eigenvalues above a share of the largest, and their eigenvectors."""
+    values, vectors = linalg.eigh(matrix, overwrite_a=True, check_finite=False)
+    kept = values > tolerance * values[-1]
+    return values[kept], vectors[:, kept]
