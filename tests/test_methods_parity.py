@@ -30,8 +30,9 @@ from artifact.methods.cricavpr import cricavpr
 from artifact.methods.megaloc import megaloc, resize_to_patches
 from artifact.methods.mixvpr import mixvpr
 from artifact.methods.salad import assign_by_transport, salad, salad_cm
-from artifact.methods.selavpr import match_count, selavpr
+from artifact.methods.selavpr import selavpr
 from artifact.methods.selavprpp import selavprpp
+from artifact.ranking.matching_torch import match_count
 
 GOLDEN = Path(__file__).parent / "golden"
 REPEATABLE = settings(max_examples=50, deadline=None, derandomize=True)
@@ -183,11 +184,11 @@ def test_selavpr_local_features_and_scores_equal_the_official_ones(run):
     sample = local.reshape(2, 3721, 128)[:, ::64]
     assert np.abs(sample.numpy() - expected["local_every_64th"]).max() <= 1e-5
 
-    scores = torch.stack([run.model.match_count(query, local) for query in local]).numpy()
+    scores = torch.stack([match_count(query, local) for query in local]).numpy()
     assert np.abs(scores - expected["match_counts"]).max() <= 2  # near ties may fall either way
     assert (scores.diagonal() == 61 * 61).all()
     grid = local[:, ::4, ::3]
-    scores = torch.stack([run.model.match_count(query, grid, block=2) for query in grid]).numpy()
+    scores = torch.stack([match_count(query, grid, block=2) for query in grid]).numpy()
     assert np.abs(scores - expected["match_counts_of_grid"]).max() <= 2
 
 

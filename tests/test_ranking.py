@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import Case, distance, evaluated_queries, ranks, share
 
-from artifact import metrics, ranking
+from artifact import metrics
 from artifact.metrics import evaluate
+from artifact.ranking import one_pass
 
 
 def random_case(seed):
@@ -52,8 +53,8 @@ def run(case, **options):
 
 def with_tiles_of(monkeypatch, side):
     """Make the pass cut small cases into many tiles, so that block borders and mirrored tiles are met."""
-    monkeypatch.setattr(ranking, "_TILE_SIDE", side)
-    monkeypatch.setattr(ranking, "_LARGEST_ROWS", side)
+    monkeypatch.setattr(one_pass, "_TILE_SIDE", side)
+    monkeypatch.setattr(one_pass, "_LARGEST_ROWS", side)
 
 
 def check_against_oracle(case, device):
@@ -78,7 +79,7 @@ def check_against_oracle(case, device):
         expected = [share(ranks(case, beyond=limit), k) for limit in limits]
         np.testing.assert_allclose(result.dar_by_distance(limits, k), expected)
         ratios = [0.0, 0.3, 0.5, 1.0]
-        orders = ranking.draw_orders(result.n_distractors, ranking.Options(draws=2))
+        orders = one_pass.draw_orders(result.n_distractors, one_pass.Options(draws=2))
         for draw, row in zip(orders.T, result.dar_by_ratio_draws(ratios, k), strict=True):
             for ratio, value in zip(ratios, row, strict=True):
                 members = set(np.flatnonzero(draw < round(ratio * result.n_distractors)).tolist())
@@ -95,9 +96,9 @@ def test_counts_equal_a_literal_sort_of_the_augmented_database(block, side, monk
 
 @pytest.mark.parametrize("side", [2, 1024])
 def test_the_engine_of_other_devices_equals_the_literal_sort(side, monkeypatch):
-    from artifact.engine_torch import TorchEngine
+    from artifact.ranking.engine_torch import TorchEngine
 
-    monkeypatch.setattr(ranking, "engine_for", TorchEngine)
+    monkeypatch.setattr(one_pass, "engine_for", TorchEngine)
     with_tiles_of(monkeypatch, side)
     import torch
 
@@ -190,9 +191,9 @@ def test_retrieval_lists_hold_the_most_similar_allowed_images(device, monkeypatc
     if device == "torch":
         import torch
 
-        from artifact.engine_torch import TorchEngine
+        from artifact.ranking.engine_torch import TorchEngine
 
-        monkeypatch.setattr(ranking, "engine_for", lambda _: TorchEngine(torch.device("cpu")))
+        monkeypatch.setattr(one_pass, "engine_for", lambda _: TorchEngine(torch.device("cpu")))
     with_tiles_of(monkeypatch, 7)
     rng = np.random.default_rng(8)
     case = Case(

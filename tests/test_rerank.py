@@ -16,25 +16,23 @@ from torch import nn
 from torch.nn import functional
 
 from artifact import (
-    candidates,
     datasets,
     extract,
     local_features,
     manifest,
-    matching,
     methods,
     partial,
     pipeline,
-    ranking,
     store,
     studies,
     verification,
 )
 from artifact.datasets.images import read_image
 from artifact.manifest.entries import ManifestError
-from artifact.matching import LocalMatcher
 from artifact.methods.preprocessing import prepare
 from artifact.metrics import evaluate
+from artifact.ranking import candidates, matching, one_pass
+from artifact.ranking.matching import LocalMatcher
 from artifact.rerank import TwoStageEvaluation, evaluate_two_stage
 from artifact.rerank_sweeps import Sweep
 from artifact.statistics import intervals
@@ -196,7 +194,7 @@ def check_against_definition(case, n):
     limits = [case.threshold, case.threshold + 3, case.threshold + 5, case.threshold + 12, np.inf]
     by_limit = [definition.ranks(n, beyond=limit) for limit in limits]
     sizes = range(result.n_distractors + 1)
-    orders = ranking.draw_orders(result.n_distractors, ranking.Options(draws=2))
+    orders = one_pass.draw_orders(result.n_distractors, one_pass.Options(draws=2))
     by_size = [[definition.ranks(n, members=set(np.flatnonzero(order < size))) for size in sizes] for order in orders.T]
     for k in {1, min(2, n), n}:
         np.testing.assert_array_equal(result.dar_by_distance(limits, k), [share(ranks, k) for ranks in by_limit])
@@ -260,7 +258,7 @@ def test_only_pairs_that_can_be_candidates_are_scored_and_each_once():
         result.dar_by_ratio([0.5])
         assert len(table.asked) == len(set(table.asked)), "sweeps are computed once and kept"
         for row in rows:
-            for order in ranking.draw_orders(len(case.pool), ranking.Options(draws=2)).T:
+            for order in one_pass.draw_orders(len(case.pool), one_pass.Options(draws=2)).T:
                 for size in range(len(case.pool) + 1):
                     add(row, members=set(np.flatnonzero(order < size)))
             for entry in definition.entries[row]:

@@ -314,10 +314,10 @@ def test_transforms_keep_the_dtype(kind):
 @pytest.mark.parametrize("device", ["cpu", "torch"])
 def test_views_equal_transforming_the_descriptors_first(similarity, device, monkeypatch):
     if device == "torch":
-        from artifact import ranking
-        from artifact.engine_torch import TorchEngine
+        from artifact.ranking import one_pass
+        from artifact.ranking.engine_torch import TorchEngine
 
-        monkeypatch.setattr(ranking, "engine_for", lambda _: TorchEngine(torch.device("cpu")))
+        monkeypatch.setattr(one_pass, "engine_for", lambda _: TorchEngine(torch.device("cpu")))
     rng = np.random.default_rng(0)
     n, d = 120, 40
     places = rng.standard_normal((n, d))

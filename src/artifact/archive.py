@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from artifact import store
-from artifact.counting import Counts
 from artifact.manifest import Manifest
 from artifact.metrics import QUERY_POOL, Evaluation
-from artifact.ranking import Ranking
+from artifact.ranking.counting import Counts
+from artifact.ranking.one_pass import Ranking
 
 
 def stored(

@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import gammaln
 
-from artifact.counting import Counts
-from artifact.ranking import ORIGINAL, ImageSet, LowRank, Options, Ranking, rank, squared_norms
+from artifact.ranking.counting import Counts
+from artifact.ranking.one_pass import ORIGINAL, ImageSet, LowRank, Options, Ranking, rank, squared_norms
 
 QUERY_POOL = "queries"
 _UNIT_TOLERANCE = 1e-3
@@ -309,7 +309,7 @@ def evaluate(
     device
         ``None`` takes CUDA if there is any, else the CPU.
     **options
-        ``depth``, ``draws``, ``retrieve``, ``view_sweeps``, ``seed``, ``memory`` of :class:`artifact.ranking.Options`.
+        ``depth``, ``draws``, ``retrieve``, ``view_sweeps``, ``seed``, ``memory`` of :class:`artifact.ranking.one_pass.Options`.
 
     Returns
     -------

@@ -13,14 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from artifact import datasets, extract, matching, ranking, rerank, rerank_sweeps, store
+from artifact import datasets, extract, rerank, rerank_sweeps, store
 from artifact.archive import stored
-from artifact.candidates import Images
 from artifact.datasets import Dataset, positives
 from artifact.extract import Descriptors
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError
 from artifact.metrics import Evaluation, evaluate
+from artifact.ranking import matching, one_pass
+from artifact.ranking.candidates import Images
 
 # Random draws of the sweep over the number of distractors, for two-stage methods: each asks for scores of more pairs.
 _DRAWS_BY_DESCRIPTORS, _DRAWS_BY_LOCAL_FEATURES = 10, 3
@@ -149,7 +150,7 @@ def evaluation(
     loaded = described.dataset
     options = {"retrieve": retrieve, "seed": seed, "similarity": similarity}
     key = store.key(
-        stage="ranking", revision=ranking.REVISION, inputs=described.key_inputs(), options=options,
+        stage="ranking", revision=one_pass.REVISION, inputs=described.key_inputs(), options=options,
         pools=names, pool_size=pool_size,
     )  # fmt: skip
 

@@ -7,7 +7,7 @@ distractors act twice: they push database images out of the candidates, and they
 distractor may even help, by pushing out a wrong database image that the second stage would have preferred: DAR can
 exceed R, and is reported as it is.
 
-Counts per query do not suffice here, as they do for one-stage methods (:mod:`artifact.ranking`). Each query needs the
+Counts per query do not suffice here, as they do for one-stage methods (:mod:`artifact.ranking.one_pass`). Each query needs the
 scores of all images that are candidates under some choice of distractors; what those are is decided from the first
 stage alone, so that nothing is scored in vain. A pair's score depends on the pair alone and is computed once.
 
@@ -23,9 +23,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from artifact.candidates import DISTRACTOR, POSITIVE, Entries, Images, Problem, Scores, scored_entries
 from artifact.metrics import QUERY_POOL, Evaluation, Ties
-from artifact.ranking import ORIGINAL, Ranking
+from artifact.ranking.candidates import DISTRACTOR, POSITIVE, Entries, Images, Problem, Scores, scored_entries
+from artifact.ranking.one_pass import ORIGINAL, Ranking
 from artifact.rerank_sweeps import Sweep, check_numbers, rank_of_best, sweep
 
 REVISION = 1  # raise when any rank changes: it is part of the key of stored rankings
@@ -186,8 +186,8 @@ def evaluate_two_stage(
     threshold
         As in :func:`artifact.evaluate`.
     scores
-        The second stage, for example :func:`artifact.matching.cosines` or a
-        :class:`artifact.matching.LocalMatcher`.
+        The second stage, for example :func:`artifact.ranking.matching.cosines` or a
+        :class:`artifact.ranking.matching.LocalMatcher`.
     pools
         Distractor pools by name; ``None`` takes the evaluated queries themselves, as does a pool that is ``None``.
     candidates

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from artifact.candidates import DISTRACTOR, POSITIVE, Images, Problem, Scores, scored_entries
-from artifact.ranking import Options, draw_orders
+from artifact.ranking.candidates import DISTRACTOR, POSITIVE, Images, Problem, Scores, scored_entries
+from artifact.ranking.one_pass import Options, draw_orders
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from artifact import ranking, store, suppression
+from artifact import store, suppression
 from artifact.archive import stored
 from artifact.manifest import Manifest
 from artifact.metrics import Evaluation, evaluate
 from artifact.pipeline import Described, describe
-from artifact.ranking import ORIGINAL
+from artifact.ranking import one_pass
+from artifact.ranking.one_pass import ORIGINAL
 from artifact.suppression import probe
 from artifact.suppression.inlp import INLP
 from artifact.suppression.leace import LEACE
@@ -294,6 +295,6 @@ def _parts(prefix: str, transform: LowRankMap) -> dict[str, np.ndarray]:
 def key_of(stage: str, described: Sequence[Described], settings: Sequence[Any]) -> str:
     """Return the content key of what one stage makes of descriptors with fitted transforms."""
     return store.key(
-        stage=stage, revisions=[ranking.REVISION, suppression.REVISION],
+        stage=stage, revisions=[one_pass.REVISION, suppression.REVISION],
         inputs=[one.key_inputs() for one in described], settings=list(settings),
     )  # fmt: skip

@@ -16,60 +16,6 @@ _SIDE = 224  # pixels: the authors lay the patches out on 16 × 16 whatever the 
 _ADAPTER_SCALE = 0.2
 
 
-def match_count(query: torch.Tensor, candidates: torch.Tensor, *, block: int = 1) -> torch.Tensor:
-    """Count the mutual nearest neighbours between a query's local features and each candidate's.
-
-    This is SelaVPR's re-ranking score: no threshold and no geometry. Like the authors' code it gives 0
-    where there is exactly one match. Equal scores are common: keep the candidates' first-stage order among
-    them.
-
-    Parameters
-    ----------
-    query : torch.Tensor
-        Local features of one image, unit length along the last axis: shape (rows, columns, c) or (m, c).
-    candidates : torch.Tensor
-        The same for k images: shape (k, rows, columns, c) or (k, n, c), same dtype and device.
-    block : int
-        Number of candidates compared at a time; each takes a matrix of m · n similarities (55 MB in float32
-        for 61 × 61 features).
-
-    Returns
-    -------
-    torch.Tensor
-        Scores, shape (k,), int64, on the features' device.
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not fit.
-
-    Examples
-    --------
-    >>> features = torch.eye(5)
-    >>> match_count(features[:4], torch.stack([features, features.flip(0)]))
-    tensor([4, 4])
-    """
-    if query.ndim < 2 or candidates.ndim < 3 or query.shape[-1] != candidates.shape[-1]:
-        raise ValueError(
-            "match_count takes query features (rows, columns, c) or (m, c) and candidates' features with one "
-            f"more leading axis and the same c; found {tuple(query.shape)} and {tuple(candidates.shape)}."
-        )
-    if block < 1:
-        raise ValueError(f"match_count takes a block of at least 1 candidate; found {block}.")
-    query = query.flatten(0, -2)
-    scores = [_mutual(query, some) for some in candidates.flatten(1, -2).split(block)]
-    return torch.cat(scores) if scores else torch.zeros(0, dtype=torch.int64, device=query.device)
-
-
-def _mutual(query: torch.Tensor, candidates: torch.Tensor) -> torch.Tensor:
-    similarities = candidates @ query.T  # (k, n, m)
-    of_query = similarities.argmax(dim=1)
-    of_candidates = similarities.argmax(dim=2)
-    there_and_back = of_candidates.gather(1, of_query)
-    counts = (there_and_back == torch.arange(len(query), device=query.device)).sum(dim=1)
-    return torch.where(counts == 1, 0, counts)
-
-
 class _AdaptedBlock(Block):
     def __init__(self, width: int, heads: int, feed_forward: type[nn.Module]) -> None:
         super().__init__(width, heads, feed_forward)
@@ -97,8 +43,6 @@ class _LocalAdapter(nn.Module):
 
 class SelaVPR(nn.Module):
     """SelaVPR with DINOv2 ViT-L/14: 1024 dimensions, and 61 × 61 local features of 128 dimensions."""
-
-    match_count = staticmethod(match_count)
 
     def __init__(self) -> None:
         super().__init__()

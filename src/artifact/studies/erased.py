@@ -14,7 +14,7 @@ from artifact.datasets.positives import positives_of
 from artifact.manifest import Manifest
 from artifact.metrics import Evaluation
 from artifact.pipeline import Described, describe
-from artifact.ranking import ORIGINAL
+from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies.common import PERCENT
 from artifact.suppression.inlp import INLP
 from artifact.suppression.leace import LEACE

@@ -17,7 +17,7 @@ from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError
 from artifact.metrics import Evaluation, evaluate
 from artifact.pipeline import Described, describe
-from artifact.ranking import ORIGINAL
+from artifact.ranking.one_pass import ORIGINAL
 from artifact.suppression.inlp import INLP
 from artifact.suppression.lowrank import LowRankMap
 
@@ -254,11 +254,12 @@ def _umap(rows: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _key(stage: str, described: Described, settings: list[Any]) -> str:
-    from artifact import ranking, suppression
+    from artifact import suppression
+    from artifact.ranking import one_pass
 
     return store.key(
         stage=stage,
-        revisions=[ranking.REVISION, suppression.REVISION],
+        revisions=[one_pass.REVISION, suppression.REVISION],
         inputs=described.key_inputs(),
         settings=settings,
     )

@@ -13,7 +13,7 @@ from artifact import paper, suppressed
 from artifact.manifest import Manifest
 from artifact.metrics import Evaluation, evaluate
 from artifact.pipeline import Described, Measured, describe
-from artifact.ranking import ORIGINAL
+from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies.common import PERCENT, Study, origin
 from artifact.suppressed import LOW_RANK, METHODS
 

@@ -18,13 +18,14 @@ import numpy as np
 import pandas as pd
 
 from artifact import datasets as data
-from artifact import ranking, store, suppressed, suppression
+from artifact import store, suppressed, suppression
 from artifact.archive import stored
 from artifact.datasets.appearance import STATISTICS, appearance
 from artifact.manifest import Manifest
 from artifact.metrics import Evaluation, evaluate
 from artifact.pipeline import Described, Measured, describe
-from artifact.ranking import ORIGINAL
+from artifact.ranking import one_pass
+from artifact.ranking.one_pass import ORIGINAL
 from artifact.statistics import block_length, resamples
 from artifact.studies.common import PERCENT, Study, origin
 from artifact.suppression.inlp import INLP
@@ -169,7 +170,7 @@ def _evaluations(
 ) -> dict[str, Evaluation]:
     """Evaluate the original and the suppressed descriptors against the pools of both sides of all turns."""
     key = store.key(
-        stage="within", revisions=[ranking.REVISION, suppression.REVISION], inputs=described.key_inputs(),
+        stage="within", revisions=[one_pass.REVISION, suppression.REVISION], inputs=described.key_inputs(),
         settings=[statistic, values, region.fit_queries, CONTROLS, iterations, seed],
     )  # fmt: skip
 

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from artifact.datasets.positives import positives_of
-from artifact.ranking import squared_norms
+from artifact.ranking.one_pass import squared_norms
 
 Scores = Callable[[Any, np.ndarray, Any, np.ndarray], np.ndarray]
 """Second stage: ``(queries, query rows, images, image rows)`` to ``(p,)`` scores, larger is better."""

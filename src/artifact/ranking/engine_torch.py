@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from artifact.counting import Counts
+from artifact.ranking.counting import Counts
 
 _CONVERTED = 32 * 2**20  # bytes of descriptors that are sent to the device at a time if they do not stay there
 
@@ -93,7 +93,7 @@ class TorchEngine:
 
 
 def database_rows(tile, scale, bias, starts, positives, offset, counts: Counts) -> None:
-    """Do as :func:`artifact.counting.database_rows`, with tensors on any device. ``tile`` is already corrected."""
+    """Do as :func:`artifact.ranking.counting.database_rows`, with tensors on any device. ``tile`` is already corrected."""
     rows = slice(offset, offset + tile.shape[0])
     similarity = tile * scale + bias
     entries = positives[starts[offset] : starts[offset + tile.shape[0]]]
@@ -112,7 +112,7 @@ def database_rows(tile, scale, bias, starts, positives, offset, counts: Counts) 
 def pool_rows(
     tile, scale, bias, offset, first_column, positions, pool_positions, threshold, orders, counts: Counts
 ) -> None:  # fmt: skip
-    """Do as :func:`artifact.counting.pool_rows`, with tensors on any device. ``tile`` is already corrected."""
+    """Do as :func:`artifact.ranking.counting.pool_rows`, with tensors on any device. ``tile`` is already corrected."""
     rows = slice(offset, offset + tile.shape[0])
     columns = slice(first_column, first_column + tile.shape[1])
     similarity = tile * scale + bias

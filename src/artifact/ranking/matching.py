@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 from numba import njit
 
 _TILE_ROWS = 512  # features of a candidate that are compared at a time on the CPU
@@ -68,7 +69,7 @@ class LocalMatcher:
     """Second-stage scores of SelaVPR: mutual nearest neighbours among the local features of two images.
 
     The score is the number of pairs of features that are each other's nearest, where exactly one counts as none,
-    as in the authors' code (:func:`artifact.methods.selavpr.match_count`). Each image is read once for each group of
+    as in the authors' code (:func:`artifact.ranking.matching_torch.match_count`). Each image is read once for each group of
     queries that fits the memory. Features are compared in float32 whatever they are stored as.
 
     Attributes
@@ -120,7 +121,7 @@ class LocalMatcher:
             return _features, _match_on_cpu
         import torch
 
-        from artifact.methods.selavpr import match_count
+        from artifact.ranking.matching_torch import match_count
 
         if self.device is None and not torch.cuda.is_available():
             return _features, _match_on_cpu

@@ -1,7 +1,7 @@
-"""Where the arithmetic of a ranking pass runs: NumPy and Numba on the CPU, or :mod:`artifact.engine_torch`.
+"""Where the arithmetic of a ranking pass runs: NumPy and Numba on the CPU, or :mod:`artifact.ranking.engine_torch`.
 
 Both engines offer the same six operations on blocks of rows and columns; the schedule of the pass is in
-:mod:`artifact.ranking` and does not know which engine it drives.
+:mod:`artifact.ranking.one_pass` and does not know which engine it drives.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from artifact import counting
-from artifact.counting import Counts
+from artifact.ranking import counting
+from artifact.ranking.counting import Counts
 
 _CONVERTED = 32 * 2**20  # bytes of half-precision descriptors that are widened at a time
 _NOTHING = np.empty((0, 0), np.float32)
@@ -68,7 +68,7 @@ class CpuEngine:
         return np.ascontiguousarray(tile.T)
 
     def count_database(self, tile, correction, scale, bias, starts, positives, offset, counts: Counts) -> None:
-        """See :func:`artifact.counting.database_rows`."""
+        """See :func:`artifact.ranking.counting.database_rows`."""
         self._by_rows(
             lambda rows, fix, first: counting.database_rows(
                 tile[rows], fix, scale, bias, starts, positives, offset + first, counts.best, counts.beaters,
@@ -81,7 +81,7 @@ class CpuEngine:
         self, tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, orders,
         counts: Counts,
     ) -> None:  # fmt: skip
-        """See :func:`artifact.counting.pool_rows`."""
+        """See :func:`artifact.ranking.counting.pool_rows`."""
         earliest = orders.min(axis=1) if orders.shape[1] else np.zeros(len(orders), np.int32)
         self._by_rows(
             lambda rows, fix, first: counting.pool_rows(
@@ -95,7 +95,7 @@ class CpuEngine:
     def count_pool_only(
         self, tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, near, counts: Counts,
     ) -> None:  # fmt: skip
-        """See :func:`artifact.counting.pool_counts`."""
+        """See :func:`artifact.ranking.counting.pool_counts`."""
         starts, images = near
         self._by_rows(
             lambda rows, fix, first: counting.pool_counts(
@@ -130,6 +130,6 @@ def engine_for(device: Any) -> Engine:
 
     if device is None and not torch.cuda.is_available():
         return CpuEngine()
-    from artifact.engine_torch import TorchEngine
+    from artifact.ranking.engine_torch import TorchEngine
 
     return TorchEngine(torch.device("cuda" if device is None else device))

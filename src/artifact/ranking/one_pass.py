@@ -16,9 +16,9 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from artifact.counting import Counts
 from artifact.datasets.positives import positives_of
-from artifact.engines import Engine, engine_for
+from artifact.ranking.counting import Counts
+from artifact.ranking.engines import Engine, engine_for
 
 Similarity = Literal["cosine", "dot", "l2"]
 
