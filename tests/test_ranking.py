@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import Case, distance, evaluated_queries, ranks, share
 
-from artifact import metrics
-from artifact.metrics import evaluate
+from artifact.metrics import evaluation
+from artifact.metrics.evaluate import evaluate
 from artifact.ranking import one_pass
 
 
@@ -281,4 +281,4 @@ def test_bad_questions_are_named():
         result["leace"]
     with pytest.raises(KeyError, match="no distractor pool 'rain'; the pools are queries"):
         result.pool("rain")
-    assert metrics.QUERY_POOL in result.pools
+    assert evaluation.QUERY_POOL in result.pools

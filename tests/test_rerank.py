@@ -30,12 +30,12 @@ from artifact import (
 from artifact.datasets.images import read_image
 from artifact.manifest.entries import ManifestError
 from artifact.methods.preprocessing import prepare
-from artifact.metrics import evaluate
+from artifact.metrics.evaluate import evaluate
+from artifact.metrics.statistics import intervals
+from artifact.metrics.two_stage import TwoStageEvaluation, evaluate_two_stage
+from artifact.metrics.two_stage_sweeps import Sweep
 from artifact.ranking import candidates, matching, one_pass
 from artifact.ranking.matching import LocalMatcher
-from artifact.rerank import TwoStageEvaluation, evaluate_two_stage
-from artifact.rerank_sweeps import Sweep
-from artifact.statistics import intervals
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binomtest, kendalltau
 
 from artifact import evaluate
-from artifact.statistics import block_length, intervals, paired_test, rank_agreement, resamples
+from artifact.metrics.statistics import block_length, intervals, paired_test, rank_agreement, resamples
 
 
 def runs(n, length, seed=0):

@@ -351,10 +351,10 @@ def test_views_equal_transforming_the_descriptors_first(similarity, device, monk
 
 def _without_unit_length_check(monkeypatch, q, c, where, similarity):
     """Transformed descriptors are not of unit length, which `l2` and `dot` ask of their inputs."""
-    from artifact import metrics
+    from artifact.metrics import evaluation
 
     with monkeypatch.context() as patch:
-        patch.setattr(metrics, "_UNIT_TOLERANCE", np.inf)
+        patch.setattr(evaluation, "_UNIT_TOLERANCE", np.inf)
         return evaluate(q, c, where, where, 1.0, similarity=similarity, retrieve=5)
 
 

@@ -18,7 +18,7 @@ from artifact import forward, methods, reading, shards, timing
 from artifact.datasets import Traversal
 from artifact.manifest import Manifest
 from artifact.manifest.entries import MethodEntry
-from artifact.metrics import evaluate
+from artifact.metrics.evaluate import evaluate
 from artifact.suppression.lowrank import LowRankMap
 
 N_QUERIES, N_DATABASE = 6000, 7500

@@ -12,7 +12,7 @@ from matplotlib.text import Annotation
 from artifact.datasets import Dataset, Traversal
 from artifact.datasets.images import read_image
 from artifact.figures.embed import embed
-from artifact.metrics import Evaluation
+from artifact.metrics.evaluation import Evaluation
 from artifact.pipeline import Measured
 from artifact.plotting import QUERY_COLOUR, RIGHT_COLOUR, WRONG_COLOUR, show_image
 from artifact.studies.erased import Erased

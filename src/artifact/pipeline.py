@@ -1,4 +1,4 @@
-"""Dataset × method → :class:`~artifact.metrics.Evaluation`, stored under the key of its inputs.
+"""Dataset × method → :class:`~artifact.metrics.evaluation.Evaluation`, stored under the key of its inputs.
 
 The studies call :func:`evaluation`; it loads the traversals, gets their descriptors and ranks them, or reads the
 stored ranking when every input is the same.
@@ -13,13 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from artifact import datasets, extract, rerank, rerank_sweeps, store
-from artifact.archive import stored
+from artifact import datasets, extract, store
 from artifact.datasets import Dataset, positives
 from artifact.extract import Descriptors
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError
-from artifact.metrics import Evaluation, evaluate
+from artifact.metrics import two_stage, two_stage_sweeps
+from artifact.metrics.evaluate import evaluate
+from artifact.metrics.evaluation import Evaluation
+from artifact.metrics.stored import stored
 from artifact.ranking import matching, one_pass
 from artifact.ranking.candidates import Images
 
@@ -123,7 +125,7 @@ def evaluation(
     seed: int = 0,
     device: Any = None,
 ) -> Measured:
-    """Evaluate a method on a dataset; a method that re-ranks gives a :class:`~artifact.rerank.TwoStageEvaluation`.
+    """Evaluate a method on a dataset; a method that re-ranks gives a :class:`~artifact.metrics.two_stage.TwoStageEvaluation`.
 
     Parameters
     ----------
@@ -201,7 +203,7 @@ def _two_stage(
     extract.check_disk(manifest, loaded.traversals.values(), [method])
     described = describe(manifest, dataset, method, names, device=device)
     shared = {
-        "revision": rerank.REVISION, "inputs": described.key_inputs(), "candidates": entry.rerank, "seed": seed,
+        "revision": two_stage.REVISION, "inputs": described.key_inputs(), "candidates": entry.rerank, "seed": seed,
         "second": {name: extract.second_stage_key(t, method, entry) for name, t in loaded.traversals.items()},
         "pools": names, "pool_size": pool_size,
     }  # fmt: skip
@@ -223,25 +225,25 @@ def _two_stage(
         return images(name).take(_pool_rows(loaded, name, pool_size, seed)) if name in names else None
 
     def compute() -> dict[str, np.ndarray]:
-        return rerank.evaluate_two_stage(
+        return two_stage.evaluate_two_stage(
             images(loaded.query_name), images(loaded.database_name), loaded.threshold, scores,
             {name: pool(name) for name in names}, candidates=entry.rerank, retrieve=retrieve, seed=seed,
         ).arrays()  # fmt: skip
 
     @functools.cache
-    def sweep_of(name: str) -> rerank_sweeps.Sweep:
+    def sweep_of(name: str) -> two_stage_sweeps.Sweep:
         def compute_sweep() -> dict[str, np.ndarray]:
-            return rerank_sweeps.sweep(
+            return two_stage_sweeps.sweep(
                 images(loaded.query_name), images(loaded.database_name), loaded.threshold, scores, pool(name),
                 candidates=entry.rerank, draws=draws, seed=seed,
             ).arrays()  # fmt: skip
 
         key = store.key(stage="two-stage sweep", pool=name, draws=draws, **shared)
-        return rerank_sweeps.Sweep.from_arrays(
+        return two_stage_sweeps.Sweep.from_arrays(
             stored(manifest, key, compute_sweep, {**record, "stage": "two-stage sweep"})
         )
 
     key = store.key(stage="two-stage ranking", retrieve=retrieve, **shared)
     arrays = stored(manifest, key, compute, {**record, "stage": "two-stage ranking"})
-    result = rerank.TwoStageEvaluation.from_arrays(arrays, sweep_of)
+    result = two_stage.TwoStageEvaluation.from_arrays(arrays, sweep_of)
     return Measured(result, loaded, method, described.inputs)

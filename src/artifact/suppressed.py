@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from artifact import store, suppression
-from artifact.archive import stored
 from artifact.manifest import Manifest
-from artifact.metrics import Evaluation, evaluate
+from artifact.metrics.evaluate import evaluate
+from artifact.metrics.evaluation import Evaluation
+from artifact.metrics.stored import stored
 from artifact.pipeline import Described, describe
 from artifact.ranking import one_pass
 from artifact.ranking.one_pass import ORIGINAL

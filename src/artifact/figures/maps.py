@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from artifact.figures.embed import embed
-from artifact.metrics import Evaluation
+from artifact.metrics.evaluation import Evaluation
 from artifact.plotting import (
     DATABASE_COLOUR,
     DISTRACTOR_COLOUR,

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from artifact.findings.finding import CLEARLY_PP, SIMILAR_PP, Finding
-from artifact.statistics import rank_agreement
+from artifact.metrics.statistics import rank_agreement
 from artifact.studies import with_means
 
 

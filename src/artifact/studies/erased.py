@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 
 from artifact import suppressed
-from artifact.archive import stored
 from artifact.datasets.positives import positives_of
 from artifact.manifest import Manifest
-from artifact.metrics import Evaluation
+from artifact.metrics.evaluation import Evaluation
+from artifact.metrics.stored import stored
 from artifact.pipeline import Described, describe
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies.common import PERCENT

@@ -12,10 +12,11 @@ import pandas as pd
 
 from artifact import datasets as data
 from artifact import store, suppressed
-from artifact.archive import stored
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError
-from artifact.metrics import Evaluation, evaluate
+from artifact.metrics.evaluate import evaluate
+from artifact.metrics.evaluation import Evaluation
+from artifact.metrics.stored import stored
 from artifact.pipeline import Described, describe
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.suppression.inlp import INLP

@@ -13,7 +13,7 @@ from artifact import extract, paper, pipeline
 from artifact.datasets.positives import positives_of
 from artifact.manifest import Manifest
 from artifact.manifest.entries import Preprocessing
-from artifact.statistics import Interval, intervals
+from artifact.metrics.statistics import Interval, intervals
 from artifact.studies.common import METRICS, PERCENT, Study, is_reported, origin
 
 

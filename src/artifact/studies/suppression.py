@@ -11,7 +11,8 @@ import pandas as pd
 from artifact import datasets as data
 from artifact import paper, suppressed
 from artifact.manifest import Manifest
-from artifact.metrics import Evaluation, evaluate
+from artifact.metrics.evaluate import evaluate
+from artifact.metrics.evaluation import Evaluation
 from artifact.pipeline import Described, Measured, describe
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies.common import PERCENT, Study, origin

@@ -19,14 +19,15 @@ import pandas as pd
 
 from artifact import datasets as data
 from artifact import store, suppressed, suppression
-from artifact.archive import stored
 from artifact.datasets.appearance import STATISTICS, appearance
 from artifact.manifest import Manifest
-from artifact.metrics import Evaluation, evaluate
+from artifact.metrics.evaluate import evaluate
+from artifact.metrics.evaluation import Evaluation
+from artifact.metrics.statistics import block_length, resamples
+from artifact.metrics.stored import stored
 from artifact.pipeline import Described, Measured, describe
 from artifact.ranking import one_pass
 from artifact.ranking.one_pass import ORIGINAL
-from artifact.statistics import block_length, resamples
 from artifact.studies.common import PERCENT, Study, origin
 from artifact.suppression.inlp import INLP
 from artifact.suppression.leace import LEACE

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import bdtr
 
-from artifact.metrics import Evaluation
+from artifact.metrics.evaluation import Evaluation
 
 
 @dataclass(frozen=True)

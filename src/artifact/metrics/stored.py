@@ -10,7 +10,7 @@ import numpy as np
 
 from artifact import store
 from artifact.manifest import Manifest
-from artifact.metrics import QUERY_POOL, Evaluation
+from artifact.metrics.evaluation import QUERY_POOL, Evaluation
 from artifact.ranking.counting import Counts
 from artifact.ranking.one_pass import Ranking
 

@@ -83,7 +83,7 @@ def sweep(
 ) -> Sweep:
     """Rank every query for every number and every minimum distance of the distractors of one pool.
 
-    Parameters are those of :func:`artifact.rerank.evaluate_two_stage`; ``pool`` is ``None`` for the evaluated queries.
+    Parameters are those of :func:`artifact.metrics.two_stage.evaluate_two_stage`; ``pool`` is ``None`` for the evaluated queries.
     """
     check_numbers(candidates, draws)
     problem = Problem.of(queries, database, threshold, candidates)

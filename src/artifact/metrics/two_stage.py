@@ -23,10 +23,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from artifact.metrics import QUERY_POOL, Evaluation, Ties
+from artifact.metrics.evaluation import QUERY_POOL, Evaluation, Ties
+from artifact.metrics.two_stage_sweeps import Sweep, check_numbers, rank_of_best, sweep
 from artifact.ranking.candidates import DISTRACTOR, POSITIVE, Entries, Images, Problem, Scores, scored_entries
 from artifact.ranking.one_pass import ORIGINAL, Ranking
-from artifact.rerank_sweeps import Sweep, check_numbers, rank_of_best, sweep
 
 REVISION = 1  # raise when any rank changes: it is part of the key of stored rankings
 
@@ -36,7 +36,7 @@ REVISION = 1  # raise when any rank changes: it is part of the key of stored ran
 
 @dataclass(frozen=True)
 class TwoStageEvaluation(Evaluation):
-    """The outcome of evaluating a two-stage method: as :class:`~artifact.metrics.Evaluation`, for K up to N.
+    """The outcome of evaluating a two-stage method: as :class:`~artifact.metrics.evaluation.Evaluation`, for K up to N.
 
     DAR@K may exceed R@K. There are no counts: ``ranking`` holds the numbers of images only. The sweeps need scores of
     more pairs than R and DAR and are computed when first asked for.

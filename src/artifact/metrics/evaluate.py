@@ -1,0 +1,181 @@
+""":func:`evaluate`: from descriptors and positions to R@K, DAR@K, RSR@K and both sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from artifact.metrics.evaluation import QUERY_POOL, Evaluation, _is_integer
+from artifact.ranking.one_pass import ImageSet, LowRank, Options, rank, squared_norms
+
+_UNIT_TOLERANCE = 1e-3
+
+
+def evaluate(
+    queries: np.ndarray,
+    database: np.ndarray,
+    query_positions: np.ndarray,
+    database_positions: np.ndarray,
+    threshold: float,
+    distractors: np.ndarray | Mapping[str, np.ndarray] | None = None,
+    distractor_positions: np.ndarray | Mapping[str, np.ndarray] | None = None,
+    views: Mapping[str, LowRank] | None = None,
+    similarity: str = "cosine",
+    device: Any = None,
+    **options: Any,
+) -> Evaluation:
+    """Evaluate descriptors: R@K, DAR@K and RSR@K for every K, and both sweeps, from one pass.
+
+    Parameters
+    ----------
+    queries, database
+        Descriptors ``(n, d)``, float32 or float16.
+    query_positions, database_positions
+        Positions ``(n, p)`` or ``(n,)`` in metres, or frame or pair indices.
+    threshold
+        A database image at most this far from a query is a positive; a pool image farther than it is an allowed
+        distractor. Same unit as the positions.
+    distractors, distractor_positions
+        Distractor pool, or several by name. ``None`` takes the evaluated queries themselves, the paper's main
+        setting.
+    views
+        Suppression transforms to evaluate in the same pass, by name.
+    similarity
+        ``"cosine"`` (descriptors are scaled to unit length, again after a view), ``"l2"`` or ``"dot"`` (they are
+        taken as they are, and must come with unit length).
+    device
+        ``None`` takes CUDA if there is any, else the CPU.
+    **options
+        ``depth``, ``draws``, ``retrieve``, ``view_sweeps``, ``seed``, ``memory`` of :class:`artifact.ranking.one_pass.Options`.
+
+    Returns
+    -------
+    Evaluation
+        Metrics, sweeps and per-query counts.
+
+    Raises
+    ------
+    TypeError
+        If descriptors are not float32 or float16 arrays.
+    ValueError
+        If shapes do not fit, values are not finite, a length is zero (or not one, for ``l2`` and ``dot``), the
+        threshold is negative, or no query has a positive.
+
+    Examples
+    --------
+    Two places, seen by day (queries) and by night (database). The descriptor's first value tells day from night
+    strongly and the others tell the places apart weakly, so each query prefers the other day image.
+
+    >>> import numpy as np
+    >>> day = np.array([[3, 1, 0], [3, 0, 1]], dtype=np.float32)
+    >>> night = np.array([[-3, 1, 0], [-3, 0, 1]], dtype=np.float32)
+    >>> where = np.array([[0.0], [100.0]])
+    >>> result = evaluate(day, night, where, where, threshold=25)
+    >>> result.recall(1), result.dar(1), result.rsr(1), result.dar(2)
+    (1.0, 0.0, 0.0, 1.0)
+    """
+    chosen = _options(similarity, device, options)
+    threshold = _checked_threshold(threshold)
+    query_set = _image_set("queries", queries, query_positions, similarity)
+    database_set = _image_set("database", database, database_positions, similarity)
+    _same_width(("queries", query_set), ("database", database_set))
+    pools: dict[str, ImageSet | None] = {}
+    for name, (images, positions) in _named_pools(distractors, distractor_positions).items():
+        pools[name] = None if images is None else _image_set(f"distractors {name!r}", images, positions, similarity)
+        if pools[name] is not None:
+            _same_width(("queries", query_set), (f"distractors {name!r}", pools[name]))
+    ranking = rank(query_set, database_set, threshold, pools, views, chosen)
+    evaluated = query_set.positions[ranking.evaluated]
+    return Evaluation(
+        ranking=ranking,
+        query_positions=evaluated,
+        database_positions=database_set.positions,
+        pool_positions={name: evaluated if pool is None else pool.positions for name, pool in pools.items()},
+        threshold=threshold,
+        pool_name=next(iter(pools)),
+    )
+
+
+def _options(similarity: str, device: Any, options: Mapping[str, Any]) -> Options:
+    if similarity not in ("cosine", "l2", "dot"):
+        raise ValueError(f"similarity is {similarity!r}; allowed: 'cosine', 'l2', 'dot'")
+    lowest = {"depth": 1, "draws": 0, "retrieve": 0, "seed": 0, "memory": 2**20}
+    for name, value in options.items():
+        if name == "view_sweeps" and isinstance(value, bool):
+            continue
+        if name not in lowest:
+            raise TypeError(f"unknown option {name!r}; allowed: {', '.join([*lowest, 'view_sweeps'])}")
+        if not _is_integer(value) or value < lowest[name]:
+            raise ValueError(f"{name} is {value!r}; allowed: whole numbers from {lowest[name]}")
+    return Options(similarity=similarity, device=device, **options)
+
+
+def _named_pools(distractors: Any, positions: Any) -> dict[str, tuple[Any, Any]]:
+    if distractors is None:
+        if positions is not None:
+            raise ValueError("distractor_positions are given without distractors")
+        return {QUERY_POOL: (None, None)}
+    if positions is None:
+        raise ValueError("distractors are given without distractor_positions")
+    if isinstance(distractors, Mapping) != isinstance(positions, Mapping):
+        raise TypeError("distractors and distractor_positions must both be arrays or both be mappings by name")
+    if not isinstance(distractors, Mapping):
+        return {"distractors": (distractors, positions)}
+    if not distractors or set(distractors) != set(positions):
+        raise ValueError(
+            f"distractors are named {sorted(distractors)}, distractor_positions {sorted(positions)}; "
+            f"both need the same names, at least one"
+        )
+    return {name: (distractors[name], positions[name]) for name in distractors}
+
+
+def _image_set(name: str, descriptors: Any, positions: Any, similarity: str) -> ImageSet:
+    if not isinstance(descriptors, np.ndarray) or descriptors.dtype not in (np.float32, np.float16):
+        kind = f"an array of {descriptors.dtype}" if isinstance(descriptors, np.ndarray) else type(descriptors).__name__
+        raise TypeError(f"{name}: descriptors are {kind}; allowed: NumPy arrays of float32 or float16")
+    if descriptors.ndim != 2 or 0 in descriptors.shape:
+        raise ValueError(f"{name}: descriptors have the shape {descriptors.shape}; allowed: (n, d), neither zero")
+    where = np.asarray(positions, np.float64)
+    where = where[:, None] if where.ndim == 1 else where
+    if where.ndim != 2 or where.shape[0] != len(descriptors) or where.shape[1] == 0:
+        raise ValueError(
+            f"{name}: positions have the shape {np.shape(positions)} for {len(descriptors)} descriptors; "
+            f"allowed: ({len(descriptors)}, p)"
+        )
+    if not np.isfinite(where).all():
+        raise ValueError(f"{name}: the position of row {_first(~np.isfinite(where).all(axis=1))} is not finite")
+    squared = squared_norms(descriptors)
+    if not np.isfinite(squared).all():
+        raise ValueError(f"{name}: row {_first(~np.isfinite(squared))} of the descriptors has NaN or infinite values")
+    if (squared == 0).any():
+        raise ValueError(f"{name}: row {_first(squared == 0)} of the descriptors is all zeros and has no direction")
+    lengths = np.sqrt(squared)
+    if similarity != "cosine" and (np.abs(lengths - 1) > _UNIT_TOLERANCE).any():
+        row = _first(np.abs(lengths - 1) > _UNIT_TOLERANCE)
+        raise ValueError(
+            f"{name}: row {row} has length {lengths[row]:.4g}; similarity {similarity!r} needs unit-length "
+            f"descriptors: divide each row by its length, or use 'cosine'"
+        )
+    return ImageSet(descriptors, np.ascontiguousarray(where))
+
+
+def _same_width(first: tuple[str, ImageSet], second: tuple[str, ImageSet]) -> None:
+    for kind, widths in (
+        ("descriptors", [s.descriptors.shape[1] for _, s in (first, second)]),
+        ("positions", [s.positions.shape[1] for _, s in (first, second)]),
+    ):
+        if widths[0] != widths[1]:
+            raise ValueError(f"{kind} have {widths[0]} columns in {first[0]} and {widths[1]} in {second[0]}")
+
+
+def _first(mask: np.ndarray) -> int:
+    return int(np.flatnonzero(mask)[0])
+
+
+def _checked_threshold(threshold: float) -> float:
+    value = float(threshold)
+    if not np.isfinite(value) or value < 0:
+        raise ValueError(f"threshold is {threshold!r}; allowed: finite numbers from 0, in metres or frames")
+    return value
