@@ -3,10 +3,10 @@
 import numpy as np
 
 from artifact.datasets import Dataset, Traversal
-from artifact.extract import Descriptors
+from artifact.extraction.described import Described
+from artifact.extraction.extract import Descriptors
 from artifact.manifest import Manifest
 from artifact.manifest.entries import DatasetEntry, MethodEntry
-from artifact.pipeline import Described
 
 METHOD = "coded"
 

@@ -15,8 +15,9 @@ import torch
 from conftest import HOG, THUMBNAIL, tiny_manifest, write_images, write_manifest
 from torch import nn
 
-from artifact import bench, datasets, extract, forward, manifest, methods, reading, shards, store
-from artifact.extract import ExtractionError
+from artifact import bench, datasets, manifest, methods, store
+from artifact.extraction import extract, forward, reading, shards
+from artifact.extraction.extract import ExtractionError
 from artifact.manifest import entries
 
 WORKERS = pytest.mark.parametrize("workers", [0, 2])

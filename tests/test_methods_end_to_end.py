@@ -10,8 +10,9 @@ from conftest import real_data_root, write_manifest
 from PIL import Image
 
 import artifact_city
-from artifact import datasets, extract, methods, pipeline
+from artifact import datasets, methods, pipeline
 from artifact import manifest as manifests
+from artifact.extraction import extract
 
 HERE = manifests.load()
 METHODS = [name for name, entry in HERE.methods.items() if entry.kind == "paper"]

@@ -9,10 +9,11 @@ import pytest
 import torch
 from conftest import HOG, REPOSITORY, tiny_manifest, write_images, write_manifest
 
-from artifact import cli, datasets, extract, manifest, planning, timing
+from artifact import cli, datasets, manifest, planning
+from artifact.extraction import extract, timing
+from artifact.extraction.timing import Timing
 from artifact.manifest import entries
 from artifact.planning import Need, Part
-from artifact.timing import Timing
 
 CPU = torch.device("cpu")
 

@@ -15,19 +15,9 @@ from oracle import distance, share, similarity
 from torch import nn
 from torch.nn import functional
 
-from artifact import (
-    datasets,
-    extract,
-    local_features,
-    manifest,
-    methods,
-    partial,
-    pipeline,
-    store,
-    studies,
-    verification,
-)
+from artifact import datasets, manifest, methods, pipeline, store, studies, verification
 from artifact.datasets.images import read_image
+from artifact.extraction import extract, local_features, partial
 from artifact.manifest.entries import ManifestError
 from artifact.methods.preprocessing import prepare
 from artifact.metrics.evaluate import evaluate

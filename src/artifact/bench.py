@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from artifact import forward, methods, reading, shards, timing
+from artifact import methods
 from artifact.datasets import Traversal
+from artifact.extraction import forward, reading, shards, timing
 from artifact.manifest import Manifest
 from artifact.manifest.entries import MethodEntry
 from artifact.metrics.evaluate import evaluate

@@ -219,7 +219,7 @@ def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 def status_lines(manifest: Manifest, profile: str) -> list[str]:
     """Return what is ready and what is missing, without making anything."""
-    from artifact import extract
+    from artifact.extraction import extract
 
     cache = store.cache_folder(manifest.path.parent)
     lines = [f"manifest  {manifest.path}", f"data root {manifest.data_root}", f"cache     {cache}"]

@@ -37,7 +37,7 @@ def _user_errors() -> tuple[type[Exception], ...]:
     """Errors that are addressed to the user: shown without a traceback."""
     from artifact.book import BookError
     from artifact.datasets import DatasetError
-    from artifact.extract import ExtractionError
+    from artifact.extraction.extract import ExtractionError
     from artifact.manifest.entries import ManifestError
     from artifact.methods.weights import WeightsError
     from artifact.parameters import ParameterError
@@ -216,7 +216,8 @@ def _fetch_weights(manifest: Any, profile: str) -> int:
 
 
 def _extract(options: argparse.Namespace) -> None:
-    from artifact import extract, planning, runner, shipping
+    from artifact import planning, runner, shipping
+    from artifact.extraction import extract
     from artifact.methods import weights
 
     manifest = _manifest(options)
@@ -262,7 +263,8 @@ def _verify(options: argparse.Namespace) -> int:
 
 
 def _bench(options: argparse.Namespace) -> None:
-    from artifact import bench, forward, timing
+    from artifact import bench
+    from artifact.extraction import forward, timing
 
     manifest = _manifest(options)
     if options.methods is None:

@@ -1,7 +1,7 @@
 """What extraction at full size would take on this machine: images, batches, time, disk and memory.
 
 Nothing is extracted or stored, and neither images nor trained weights need to be there: where images are missing, their
-number is the paper's, and time and memory come from a short trial of each model (:mod:`artifact.timing`).
+number is the paper's, and time and memory come from a short trial of each model (:mod:`artifact.extraction.timing`).
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ import numpy as np
 from PIL import Image
 from tqdm import tqdm
 
-from artifact import datasets, extract, local_features, reading, store, timing
+from artifact import datasets, store
 from artifact.datasets import folder, shipped
 from artifact.datasets.rendered import is_rendered, rendered
 from artifact.datasets.traversal import Traversal
+from artifact.extraction import extract, local_features, reading, timing
 from artifact.manifest import Manifest
 from artifact.manifest.entries import DatasetEntry, MethodEntry
 from artifact.methods import weights
@@ -93,14 +94,14 @@ def lines(manifest: Manifest, profile: str, *, device: str | None = None, precis
     manifest, profile
         What would be extracted.
     device, precision
-        As for :func:`artifact.extract.descriptors`.
+        As for :func:`artifact.extraction.extract.descriptors`.
 
     Raises
     ------
     ExtractionError
         If a device is not on this machine.
     """
-    from artifact import forward
+    from artifact.extraction import forward
 
     chosen = forward.devices(device)
     entry = manifest.profile(profile)

@@ -24,7 +24,8 @@ import papermill
 from papermill.exceptions import PapermillExecutionError
 from tqdm import tqdm
 
-from artifact import datasets, extract, methods, parameters, store, timing
+from artifact import datasets, methods, parameters, store
+from artifact.extraction import extract, timing
 from artifact.manifest import Manifest
 from artifact.methods import weights
 from artifact.notebook import NothingToShowError

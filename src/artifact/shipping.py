@@ -10,9 +10,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from artifact import datasets, extract, store
+from artifact import datasets, store
 from artifact.datasets import shipped
 from artifact.datasets.appearance import appearance, appearance_key
+from artifact.extraction import extract
 from artifact.manifest import Manifest
 
 

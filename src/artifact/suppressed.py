@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from artifact import store, suppression
+from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.stored import stored
-from artifact.pipeline import Described, describe
 from artifact.ranking import one_pass
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.suppression import probe

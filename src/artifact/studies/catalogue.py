@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pandas as pd
 
-from artifact import methods, timing
+from artifact import methods
+from artifact.extraction import timing
 from artifact.manifest import Manifest
 from artifact.methods import parity, weights
 

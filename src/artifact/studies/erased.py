@@ -10,10 +10,10 @@ import pandas as pd
 
 from artifact import suppressed
 from artifact.datasets.positives import positives_of
+from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.stored import stored
-from artifact.pipeline import Described, describe
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies.common import PERCENT
 from artifact.suppression.inlp import INLP

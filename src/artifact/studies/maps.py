@@ -12,12 +12,12 @@ import pandas as pd
 
 from artifact import datasets as data
 from artifact import store, suppressed
+from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError
 from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.stored import stored
-from artifact.pipeline import Described, describe
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.suppression.inlp import INLP
 from artifact.suppression.lowrank import LowRankMap

@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 
 from artifact import datasets as data
-from artifact import extract, paper, pipeline
+from artifact import paper, pipeline
 from artifact.datasets.positives import positives_of
+from artifact.extraction import extract
 from artifact.manifest import Manifest
 from artifact.manifest.entries import Preprocessing
 from artifact.metrics.statistics import Interval, intervals

@@ -10,10 +10,11 @@ import pandas as pd
 
 from artifact import datasets as data
 from artifact import paper, suppressed
+from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
-from artifact.pipeline import Described, Measured, describe
+from artifact.pipeline import Measured
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies.common import PERCENT, Study, origin
 from artifact.suppressed import LOW_RANK, METHODS

@@ -20,12 +20,13 @@ import pandas as pd
 from artifact import datasets as data
 from artifact import store, suppressed, suppression
 from artifact.datasets.appearance import STATISTICS, appearance
+from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.statistics import block_length, resamples
 from artifact.metrics.stored import stored
-from artifact.pipeline import Described, Measured, describe
+from artifact.pipeline import Measured
 from artifact.ranking import one_pass
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies.common import PERCENT, Study, origin

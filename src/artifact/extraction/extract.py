@@ -1,8 +1,8 @@
 """Traversal × method → descriptors on disk, resumable at any moment.
 
-Worker processes decode and prepare images ahead of the model (:mod:`artifact.reading`), which describes them in
-batches that are always the same (:mod:`artifact.shards`). Descriptors go to a partial file, and a journal beside it
-records the rows that are safely on disk (:mod:`artifact.partial`): a killed run goes on from there and ends with the
+Worker processes decode and prepare images ahead of the model (:mod:`artifact.extraction.reading`), which describes them in
+batches that are always the same (:mod:`artifact.extraction.shards`). Descriptors go to a partial file, and a journal beside it
+records the rows that are safely on disk (:mod:`artifact.extraction.partial`): a killed run goes on from there and ends with the
 same bytes. A result is complete only when its sidecar exists.
 """
 
@@ -19,12 +19,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from artifact import local_features, methods, partial, store
+from artifact import methods, store
 from artifact.datasets import shipped
 from artifact.datasets.traversal import Traversal
+from artifact.extraction import local_features, partial
+from artifact.extraction.reading import ExtractionError
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError, MethodEntry
-from artifact.reading import ExtractionError
 
 if TYPE_CHECKING:
     import torch  # imported where descriptors are made: reading stored ones does not need it
@@ -247,7 +248,7 @@ def _extract(
 ) -> None:  # fmt: skip
     import torch
 
-    from artifact import forward, shards
+    from artifact.extraction import forward, shards
 
     begun = time.monotonic()
     chosen = forward.devices(device)

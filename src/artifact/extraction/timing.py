@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image
 
-from artifact import local_features, methods, reading, store
+from artifact import methods, store
+from artifact.extraction import local_features, reading
 from artifact.manifest import Manifest
 from artifact.manifest.entries import MethodEntry
 
@@ -182,7 +183,7 @@ def _reading(path: Path, entry: MethodEntry) -> tuple[np.ndarray, float]:
 def _forward(
     method: str, entry: MethodEntry, images: np.ndarray, device: torch.device, precision: str, read: float
 ) -> Timing:
-    from artifact.forward import Forward
+    from artifact.extraction.forward import Forward
 
     reader, n = _peak(), entry.batch_size
     model = methods.build(method) if entry.builder is None else methods.model_of(method, entry)

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 import torch
 
+from artifact.extraction.reading import ExtractionError, Prepared
 from artifact.manifest.entries import MethodEntry
-from artifact.reading import ExtractionError, Prepared
 
 Model = Callable[[torch.Tensor], torch.Tensor | tuple[torch.Tensor, ...]]
 

@@ -22,11 +22,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from artifact import local_features, methods, partial, reading
+from artifact import methods
 from artifact.datasets.traversal import Traversal
-from artifact.forward import Forward
+from artifact.extraction import local_features, partial, reading
+from artifact.extraction.forward import Forward
+from artifact.extraction.reading import ExtractionError
 from artifact.manifest.entries import MethodEntry
-from artifact.reading import ExtractionError
 
 _LISTED = 20
 
@@ -145,7 +146,7 @@ def describe(
     rows_of_batches
         Rows of the batches to describe, in order.
     workers
-        Processes that read images; see :func:`artifact.reading.read_batches`.
+        Processes that read images; see :func:`artifact.extraction.reading.read_batches`.
     work
         Receives what the model did.
     second

@@ -2,7 +2,7 @@
 
 They come from the same pass as the descriptors and stand in files of some hundred images each, which are reserved on
 disk before a model runs: the need follows from the manifest and is compared with the free space first. Rows count as
-done by the journal of the descriptors (:mod:`artifact.partial`), which is written after both are on disk. A file is
+done by the journal of the descriptors (:mod:`artifact.extraction.partial`), which is written after both are on disk. A file is
 complete when its sidecar exists. Reading maps the files into memory.
 """
 
@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from artifact import partial, store
+from artifact import store
+from artifact.extraction import partial
 from artifact.manifest.entries import ManifestError, MethodEntry
 
 if TYPE_CHECKING:
@@ -263,7 +264,7 @@ class Writer(partial.Writer):
     Parameters
     ----------
     path, key, number
-        As for :class:`artifact.partial.Writer`.
+        As for :class:`artifact.extraction.partial.Writer`.
     files
         Made ready by :func:`start`.
     """

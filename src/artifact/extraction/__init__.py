@@ -1,0 +1,1 @@
+"""Traversal × method → descriptors on disk, in resumable shards; local features and codes of two-stage methods."""
