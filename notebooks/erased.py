@@ -32,7 +32,9 @@ from artifact.notebook import open_page
 
 page = open_page(profile)
 chosen, described = page.choose(dataset, prefer="real"), method or page.methods[-1]
-erased = studies.what_is_erased(page.manifest, chosen, described, fraction=fraction, iterations=iterations, seed=seed)
+erased = studies.erased.what_is_erased(
+    page.manifest, chosen, described, fraction=fraction, iterations=iterations, seed=seed
+)
 page = page.only(chosen, described)
 
 # %% tags=["remove-input"]

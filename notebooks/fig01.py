@@ -26,13 +26,14 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import Markdown, display
 
-from artifact import galleries, pipeline, report
+from artifact import galleries, report
 from artifact.notebook import open_page
+from artifact.studies import evaluated
 
 page = open_page(profile)
 chosen = page.choose(dataset, images=True, prefer="metres")
 described = method or page.methods[-1]
-measured = pipeline.evaluation(page.manifest, chosen, described, retrieve=1, seed=seed)
+measured = evaluated.evaluation(page.manifest, chosen, described, retrieve=1, seed=seed)
 result = measured.evaluation
 taken = int((result.hits(1, distractors=False) & ~result.hits(1, distractors=True)).sum())
 

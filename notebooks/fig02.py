@@ -33,7 +33,8 @@ from artifact.notebook import open_page
 page = open_page(profile, None, methods)
 chosen = page.choose(dataset, same_condition_traversal=True)
 found = {
-    method: studies.mixed_database(page.manifest, chosen, method, share=share, seed=seed) for method in page.methods
+    method: studies.mixed_database.mixed_database(page.manifest, chosen, method, share=share, seed=seed)
+    for method in page.methods
 }
 
 # %% tags=["remove-input", "full-width"]
@@ -54,7 +55,7 @@ display(table)
 display(report.reported_mixed_table("fig02"))
 
 # %% tags=["remove-input"]
-display(report.download(studies.mixed_table(found), "fig02_mixed_database"))
+display(report.download(studies.mixed_database.mixed_table(found), "fig02_mixed_database"))
 report.provenance(
     {"profile": profile, "dataset": chosen, "methods": page.methods, "share": share, "seed": seed}, *found.values()
 )

@@ -33,7 +33,7 @@ from artifact.notebook import open_page
 
 page = open_page(profile)
 chosen, described = page.choose(dataset, prefer="metres"), method or page.methods[-1]
-one = studies.embedding(page.manifest, chosen, described, fraction=fraction, iterations=iterations, seed=seed)
+one = studies.embedding.embedding(page.manifest, chosen, described, fraction=fraction, iterations=iterations, seed=seed)
 
 # %% tags=["remove-input", "full-width"]
 page = page.only(chosen, described)
@@ -44,7 +44,7 @@ figures.embeddings({described: one}, page.conditions(chosen), page.method_titles
 # ## How mixed the clouds are
 
 # %% tags=["remove-input"]
-before, after = (100 * studies.nearest_share(points, one) for points in (one.before, one.after))
+before, after = (100 * studies.embedding.nearest_share(points, one) for points in (one.before, one.after))
 Markdown(
     f"Mixing, measured in the plane: the share of points whose nearest neighbour has the other condition rises from "
     f"{before:.0f} % to {after:.0f} %."
@@ -54,7 +54,7 @@ Markdown(
 )
 
 # %% tags=["remove-input"]
-display(report.download(studies.embedding_table(one), "fig03_umap"))
+display(report.download(studies.embedding.embedding_table(one), "fig03_umap"))
 report.provenance(
     {
         "profile": profile,

@@ -30,7 +30,7 @@ from artifact import figures, findings, report, studies
 from artifact.notebook import open_page
 
 page = open_page(profile, datasets, methods)
-study = studies.recall_table(page.manifest, page.datasets, page.methods, k=k, seed=seed)
+study = studies.recall.recall_table(page.manifest, page.datasets, page.methods, k=k, seed=seed)
 
 # %% tags=["remove-input"]
 display(report.finding(findings.similar_recall_hides_differences(study.table, page.method_titles, k)))

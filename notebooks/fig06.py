@@ -33,8 +33,10 @@ from artifact.notebook import open_page
 
 page = open_page(profile, None, methods)
 chosen = page.choose(dataset, unit="metres")
-number = studies.distractor_number(page.manifest, chosen, page.methods, ratios, k=k, seed=seed)
-distance = studies.distractor_distance(page.manifest, chosen, page.methods, [*distances, float("inf")], k=k, seed=seed)
+number = studies.distractors.distractor_number(page.manifest, chosen, page.methods, ratios, k=k, seed=seed)
+distance = studies.distractors.distractor_distance(
+    page.manifest, chosen, page.methods, [*distances, float("inf")], k=k, seed=seed
+)
 
 # %% tags=["remove-input"]
 display(

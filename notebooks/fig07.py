@@ -31,7 +31,7 @@ from artifact.notebook import open_page
 
 page = open_page(profile, None, methods)
 chosen = page.choose(dataset, distractor_traversals=True)
-study = studies.distractor_condition(page.manifest, chosen, page.methods, k=k, seed=seed)
+study = studies.distractors.distractor_condition(page.manifest, chosen, page.methods, k=k, seed=seed)
 conditions = page.conditions(chosen)
 
 # %% tags=["remove-input"]

@@ -33,7 +33,7 @@ from artifact import figures, findings, report, studies
 from artifact.notebook import open_page
 
 page = open_page(profile, datasets, methods)
-study = studies.suppression_table(
+study = studies.suppression.suppression_table(
     page.manifest, page.datasets, page.methods, fraction=fraction, iterations=iterations, k=k, seed=seed
 )
 

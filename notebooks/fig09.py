@@ -35,7 +35,7 @@ from artifact.notebook import open_page
 page = open_page(profile, None, methods)
 chosen = page.choose(dataset, same_condition_traversal=True)
 found = {
-    method: studies.mixed_database_suppressed(
+    method: studies.mixed_database.mixed_database_suppressed(
         page.manifest, chosen, method, share=share, fraction=fraction, iterations=iterations, seed=seed
     )
     for method in page.methods
@@ -56,7 +56,7 @@ display(report.mixed_table(found, panels, page.method_titles))
 display(report.reported_mixed_table("fig09"))
 
 # %% tags=["remove-input"]
-display(report.download(studies.mixed_table(found), "fig09_mixed_database"))
+display(report.download(studies.mixed_database.mixed_table(found), "fig09_mixed_database"))
 report.provenance(
     {
         "profile": profile,

@@ -32,10 +32,10 @@ from artifact import figures, findings, report, studies
 from artifact.notebook import open_page
 
 page = open_page(profile, datasets, methods)
-study = studies.fitting_fraction(
+study = studies.suppression.fitting_fraction(
     page.manifest, page.datasets, page.methods, fractions, iterations=iterations, k=k, seed=seed
 )
-means = studies.mean_by_fraction(study.table)
+means = studies.suppression.mean_by_fraction(study.table)
 
 # %% tags=["remove-input"]
 display(report.finding(findings.a_tenth_suffices(means, k)))

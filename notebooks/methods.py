@@ -34,8 +34,8 @@ from artifact import report, studies
 from artifact.notebook import open_page
 
 page = open_page(profile)
-catalogue = studies.methods_of_the_paper(page.manifest)
-parity = studies.parity_table(page.manifest)
+catalogue = studies.catalogue.methods_of_the_paper(page.manifest)
+parity = studies.catalogue.parity_table(page.manifest)
 
 # %% tags=["remove-input", "full-width"]
 report.parity_table(parity)

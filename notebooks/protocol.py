@@ -26,8 +26,9 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import protocol, report
+from artifact import report
 from artifact.notebook import open_page
+from artifact.studies import protocol
 
 page = open_page(profile, datasets, methods)
 report.protocol_table(protocol.DECISIONS)

@@ -27,7 +27,7 @@ from artifact import report, studies
 from artifact.notebook import open_page
 
 page = open_page(profile, datasets)
-study = studies.datasets_table(page.manifest, page.datasets)
+study = studies.catalogue.datasets_table(page.manifest, page.datasets)
 
 # %% tags=["remove-input", "full-width"]
 report.datasets_table(study.table)

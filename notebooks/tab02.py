@@ -28,7 +28,7 @@ from artifact import report, studies
 from artifact.notebook import open_page
 
 page = open_page(profile, datasets, methods)
-study = studies.methods_table(page.manifest, page.datasets, page.methods)
+study = studies.catalogue.methods_table(page.manifest, page.datasets, page.methods)
 
 # %% [markdown]
 # ## Methods of this run
@@ -46,7 +46,7 @@ report.methods_table(study.table)
 # weights and how to get them.
 
 # %% tags=["remove-input", "full-width"]
-report.reported_methods_table(page.manifest, studies.methods_of_the_paper(page.manifest))
+report.reported_methods_table(page.manifest, studies.catalogue.methods_of_the_paper(page.manifest))
 
 # %% tags=["remove-input"]
 display(report.download(study.table, "tab02_methods"))

@@ -30,7 +30,7 @@ from artifact import findings, report, studies
 from artifact.notebook import open_page
 
 page = open_page(profile, datasets, methods)
-study = studies.recall_table(page.manifest, page.datasets, page.methods, k=k, seed=seed)
+study = studies.recall.recall_table(page.manifest, page.datasets, page.methods, k=k, seed=seed)
 
 # %% tags=["remove-input", "full-width"]
 display(

@@ -33,11 +33,11 @@ from artifact import findings, report, studies
 from artifact.notebook import open_page
 
 page = open_page(profile, datasets, methods)
-order = studies.order_of_fitting(page.manifest, page.datasets)
-study = studies.single_against_multi(
+order = studies.composition.order_of_fitting(page.manifest, page.datasets)
+study = studies.composition.single_against_multi(
     page.manifest, order, page.methods, fraction=fraction, iterations=iterations, k=k, seed=seed
 )
-summary = studies.summary(study.table, ["suppression"])
+summary = studies.composition.summary(study.table, ["suppression"])
 
 # %% tags=["remove-input"]
 display(report.finding(findings.one_transform_for_all(summary)))

@@ -33,13 +33,13 @@ from artifact import findings, report, studies
 from artifact.notebook import NothingToShowError, open_page
 
 page = open_page(profile, datasets, methods)
-order = studies.order_of_fitting(page.manifest, page.datasets)
-study = studies.irrelevant_conditions(
+order = studies.composition.order_of_fitting(page.manifest, page.datasets)
+study = studies.composition.irrelevant_conditions(
     page.manifest, order, page.methods, fraction=fraction, iterations=iterations, k=k, seed=seed
 )
 if study.table.empty:
     raise NothingToShowError("this page needs a dataset with the key irrelevant_pairs; none of this run has it")
-summary = studies.summary(study.table, ["suppression", "pair"])
+summary = studies.composition.summary(study.table, ["suppression", "pair"])
 
 # %% tags=["remove-input"]
 display(report.finding(findings.irrelevant_conditions_unharmed(summary)))

@@ -42,7 +42,7 @@ from artifact import figures, report, studies
 from artifact.notebook import open_page
 
 page = open_page(profile, datasets, methods)
-study = studies.within_session(
+study = studies.within_session.within_session(
     page.manifest, page.datasets, page.methods, statistics, fraction=fraction, iterations=iterations, seed=seed
 )
 

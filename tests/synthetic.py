@@ -1,8 +1,11 @@
 """Descriptors with a known cause: a place code, and a condition that pushes all descriptors along one direction."""
 
+import sys
+
 import numpy as np
 
 from artifact.datasets import Dataset, Traversal
+from artifact.extraction import described as stage
 from artifact.extraction.described import Described
 from artifact.extraction.extract import Descriptors
 from artifact.manifest import Manifest
@@ -62,6 +65,7 @@ def manifest(folder, *datasets):
 
 def offer(monkeypatch, *datasets):
     """Let the studies find these descriptors instead of extracting any."""
+    original = stage.describe
     by_name = {one.dataset.name: one for one in datasets}
 
     def describe(_, dataset, method, traversals=(), *, device=None):
@@ -74,5 +78,6 @@ def offer(monkeypatch, *datasets):
         )
         return Described(loaded, method, {name: one.descriptors[name] for name in names})
 
-    for module in ("suppressed", "pipeline", "studies.suppression", "studies.maps", "studies.erased", "studies.within"):
-        monkeypatch.setattr(f"artifact.{module}.describe", describe)
+    for module in [m for name, m in sys.modules.items() if name.startswith("artifact.")]:
+        if getattr(module, "describe", None) is original:
+            monkeypatch.setattr(module, "describe", describe)

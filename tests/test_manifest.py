@@ -110,12 +110,12 @@ def test_the_nearest_manifest_above_is_found(tmp_path, monkeypatch):
 
 def test_the_shipped_manifest_is_the_papers():
     """Tables I and II of the paper are the manifest's entries."""
-    from artifact import paper
+    from artifact.studies import reported
 
     loaded = manifest.load(REPOSITORY / "data_manifest.yaml")
     assert "demo" in loaded.profiles
     assert "paper" in loaded.profiles
-    for row in paper.reported("tab02").to_dict("records"):
+    for row in reported.table("tab02").to_dict("records"):
         entry = loaded.method(row["method"])
         assert (entry.title, entry.backbone, entry.aggregation, entry.dimension, entry.train_data, entry.kind) == (
             row["title"], row["backbone"], row["aggregation"], row["dimension"], row["train_data"], "paper",
@@ -124,12 +124,12 @@ def test_the_shipped_manifest_is_the_papers():
     entries = {
         entry.reported_as: entry for name in loaded.profile("paper").datasets for entry in [loaded.dataset(name)]
     }
-    for row in paper.reported("tab01").to_dict("records"):
+    for row in reported.table("tab01").to_dict("records"):
         entry = entries[row["dataset"]]
         assert (entry.title, str(entry.threshold), entry.shift) == (row["title"], row["threshold"], row["shift"])
         assert (entry.query, entry.database) == (row["query"], row["database"])
         assert (entry.paper.queries, entry.paper.database) == (row["queries"], row["database_images"])
-        assert entry.paper.evaluated == paper.EVALUATED_QUERIES[row["dataset"]]
+        assert entry.paper.evaluated == reported.EVALUATED_QUERIES[row["dataset"]]
     cricavpr = loaded.method("cricavpr")
     assert cricavpr.batch_dependent
     assert cricavpr.batch_size == 16

@@ -10,9 +10,10 @@ from conftest import real_data_root, write_manifest
 from PIL import Image
 
 import artifact_city
-from artifact import datasets, methods, pipeline
+from artifact import datasets, methods
 from artifact import manifest as manifests
 from artifact.extraction import extract
+from artifact.studies import evaluated
 
 HERE = manifests.load()
 METHODS = [name for name, entry in HERE.methods.items() if entry.kind == "paper"]
@@ -65,7 +66,7 @@ def test_from_image_files_to_dar(images, name, monkeypatch):
     assert described.values.shape == (n, HERE.methods[name].dimension)
     np.testing.assert_allclose(np.linalg.norm(described.values, axis=1), 1, atol=1e-5)
     assert np.ptp(described.values, axis=0).max() > 0
-    result = pipeline.evaluation(given, "places", name).evaluation
+    result = evaluated.evaluation(given, "places", name).evaluation
     assert result.n_queries == n
     for k in range(1, 2 * n):
         assert 0 <= result.dar(k) <= 1

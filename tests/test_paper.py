@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from artifact import paper
+from artifact.studies import reported
 
 METHODS = [
     "anyloc",
@@ -19,7 +19,7 @@ METHODS = [
     "selavpr",
     "selavprpp",
 ]
-DATASETS = list(paper.EVALUATED_QUERIES)
+DATASETS = list(reported.EVALUATED_QUERIES)
 
 
 def half_unit(printed):
@@ -29,24 +29,24 @@ def half_unit(printed):
 
 @pytest.fixture(scope="module")
 def table():
-    return paper.recall_table().set_index(["dataset", "method"])
+    return reported.recall_table().set_index(["dataset", "method"])
 
 
 @pytest.fixture(scope="module")
 def scatter():
-    return paper.reported("fig05").set_index(["dataset", "method"])
+    return reported.table("fig05").set_index(["dataset", "method"])
 
 
 def test_every_cell_is_there(table, scatter):
     assert len(table) == 7 * 11
     assert not table.isna().any().any()
     assert set(scatter.index) == {(d, m) for d in DATASETS for m in METHODS}
-    for name in paper.TABLES:
-        assert len(paper.reported(name)) > 0
+    for name in reported.TABLES:
+        assert len(reported.table(name)) > 0
     counts = {"fig06_number": 11 * 11, "fig06_distance": 11 * 7, "fig07": 11 * 5, "fig10": 2 * 3 * 11}
     for name, count in counts.items():
-        assert len(paper.reported(name)) == count
-        assert not paper.reported(name).duplicated(paper.reported(name).columns[:-1]).any()
+        assert len(reported.table(name)) == count
+        assert not reported.table(name).duplicated(reported.table(name).columns[:-1]).any()
 
 
 def test_table_cells_are_the_rounded_scatter_points(table, scatter):
@@ -78,7 +78,7 @@ def test_means_are_over_the_six_datasets(table, scatter):
         assert table.loc[("mean", method), "DAR@1"] == pytest.approx(cells.dar_percent.mean(), abs=0.0551)
         rsr = (100 * cells.dar_percent / cells.recall_percent).mean()
         assert table.loc[("mean", method), "RSR@1"] == pytest.approx(rsr, abs=0.0651)
-    lines = paper.reported("fig05_means").set_index("dataset")
+    lines = reported.table("fig05_means").set_index("dataset")
     for dataset in DATASETS:
         cells = scatter.xs(dataset, level="dataset")
         assert lines.loc[dataset, "recall_percent"] == pytest.approx(cells.recall_percent.mean(), abs=0.0101)
@@ -86,7 +86,7 @@ def test_means_are_over_the_six_datasets(table, scatter):
 
 
 def test_ranks_follow_the_means():
-    cells = paper.reported("tab03")
+    cells = reported.table("tab03")
     means = cells[cells.dataset == "mean"]
     for _, column in means.groupby("metric"):
         ordered = column.sort_values("percent", ascending=False)
@@ -96,7 +96,7 @@ def test_ranks_follow_the_means():
 
 def test_marks_follow_the_scatter(scatter):
     """Best, second and worst of each column; where two methods tie, both carry the mark."""
-    cells = paper.reported("tab03")
+    cells = reported.table("tab03")
     for dataset in DATASETS:
         for metric, name in (("R@1", "recall_percent"), ("DAR@1", "dar_percent")):
             values = scatter.xs(dataset, level="dataset")[name]
@@ -117,23 +117,23 @@ def test_percentages_are_whole_numbers_of_queries(scatter):
         counts = np.rint(percentages * n / 100)
         return np.abs(100 * counts / n - percentages) <= 0.005 + 1e-9
 
-    for dataset, n in paper.EVALUATED_QUERIES.items():
+    for dataset, n in reported.EVALUATED_QUERIES.items():
         values = scatter.xs(dataset, level="dataset").to_numpy().ravel()
         assert fits(values, n).all(), dataset
     robotcar = scatter.xs("robotcar", level="dataset").to_numpy().ravel()
     assert not fits(robotcar, 6021).all()
-    curves = pd.concat([paper.reported(n).dar_percent for n in ("fig06_distance", "fig07")])
+    curves = pd.concat([reported.table(n).dar_percent for n in ("fig06_distance", "fig07")])
     assert fits(curves.to_numpy(), 5987).mean() > 0.99
-    assert paper.reported("tab01").set_index("dataset").queries["robotcar"] == 6021
+    assert reported.table("tab01").set_index("dataset").queries["robotcar"] == 6021
 
 
 def test_curves_end_at_the_table_cells(scatter):
     robotcar = scatter.xs("robotcar", level="dataset")
-    number = paper.reported("fig06_number").pivot(index="method", columns="ratio", values="dar_percent")
-    distance = paper.reported("fig06_distance").pivot(
+    number = reported.table("fig06_number").pivot(index="method", columns="ratio", values="dar_percent")
+    distance = reported.table("fig06_distance").pivot(
         index="method", columns="minimum_distance_metres", values="dar_percent"
     )
-    condition = paper.reported("fig07").pivot(index="method", columns="distractor_condition", values="dar_percent")
+    condition = reported.table("fig07").pivot(index="method", columns="distractor_condition", values="dar_percent")
     for method in METHODS:
         dar, recall = robotcar.loc[method, "dar_percent"], robotcar.loc[method, "recall_percent"]
         assert number.loc[method, 1.0] == distance.loc[method, 25.0] == condition.loc[method, "sun,clouds"] == dar
@@ -144,33 +144,33 @@ def test_curves_end_at_the_table_cells(scatter):
 
 def test_curves_are_monotone_as_they_must_be():
     for name, x, sign in (("fig06_number", "ratio", -1), ("fig06_distance", "minimum_distance_metres", 1)):
-        for _, curve in paper.reported(name).groupby("method"):
+        for _, curve in reported.table(name).groupby("method"):
             steps = np.diff(curve.sort_values(x).dar_percent)
             assert (sign * steps >= 0).all()
 
 
 def test_claims_of_the_text_follow_from_the_numbers(table):
     """Numbers that the paper's prose quotes are the numbers of its tables."""
-    ranks = paper.reported("tab03").query("dataset == 'mean'").pivot(index="method", columns="metric", values="rank")
+    ranks = reported.table("tab03").query("dataset == 'mean'").pivot(index="method", columns="metric", values="rank")
     assert (ranks.loc["salad_cm", "R@1"], ranks.loc["salad_cm", "DAR@1"]) == (4, 1)
     assert (ranks.loc["cricavpr", "R@1"], ranks.loc["cricavpr", "DAR@1"]) == (5, 7)
-    mixed = paper.reported("fig02").pivot(index="method", columns="database", values="recall_percent")
+    mixed = reported.table("fig02").pivot(index="method", columns="database", values="recall_percent")
     assert (mixed["single-condition"] - mixed["mixed-condition"]).max() == pytest.approx(15.4)
-    maps = paper.reported("fig09").pivot(index="method", columns="descriptors", values="recall_percent")
+    maps = reported.table("fig09").pivot(index="method", columns="descriptors", values="recall_percent")
     gain = maps["suppressed"] - maps["original"]
     assert gain["anyloc"] == pytest.approx(16.4, abs=0.11)
     assert gain["eigenplaces"] == pytest.approx(5.1)
-    order = paper.reported("fig07").groupby("distractor_condition").dar_percent.mean().sort_values()
+    order = reported.table("fig07").groupby("distractor_condition").dar_percent.mean().sort_values()
     assert list(order.index) == ["sun,clouds", "overcast", "rain", "night", "none"]
-    start = paper.reported("fig10").query("fitting_fraction == 0")
+    start = reported.table("fig10").query("fitting_fraction == 0")
     assert (start.change_pp == 0).all()
     assert len(start) == 6
 
 
 def test_verdicts():
-    assert paper.verdict(50.0, 50.4, n_queries=100) == "equal"
-    assert paper.verdict(50.0, 50.6, n_queries=100) == "close"
-    assert paper.verdict(50.0, 51.2, n_queries=100) == "different"
-    assert paper.verdict(float("nan"), 50.0) == "not comparable"
+    assert reported.verdict(50.0, 50.4, n_queries=100) == "equal"
+    assert reported.verdict(50.0, 50.6, n_queries=100) == "close"
+    assert reported.verdict(50.0, 51.2, n_queries=100) == "different"
+    assert reported.verdict(float("nan"), 50.0) == "not comparable"
     with pytest.raises(KeyError, match="nothing under 'fig99'; allowed: tab01"):
-        paper.reported("fig99")
+        reported.table("fig99")

@@ -15,7 +15,7 @@ from oracle import distance, share, similarity
 from torch import nn
 from torch.nn import functional
 
-from artifact import datasets, manifest, methods, pipeline, store, studies, verification
+from artifact import datasets, manifest, methods, store, studies, verification
 from artifact.datasets.images import read_image
 from artifact.extraction import extract, local_features, partial
 from artifact.manifest.entries import ManifestError
@@ -26,6 +26,7 @@ from artifact.metrics.two_stage import TwoStageEvaluation, evaluate_two_stage
 from artifact.metrics.two_stage_sweeps import Sweep
 from artifact.ranking import candidates, matching, one_pass
 from artifact.ranking.matching import LocalMatcher
+from artifact.studies import evaluated
 
 
 @dataclass(frozen=True)
@@ -667,7 +668,7 @@ def test_the_disk_is_checked_before_anything_is_computed(project, monkeypatch, c
     monkeypatch.setattr(methods, "model_of", lambda *_: pytest.fail("a model was built"))
     monkeypatch.setattr(shutil, "disk_usage", lambda _: free._replace(free=need - 1))
     for attempt in (
-        lambda: extract.descriptors(found, traversal, "local", workers=0), lambda: pipeline.evaluation(found, "street", "local"),
+        lambda: extract.descriptors(found, traversal, "local", workers=0), lambda: evaluated.evaluation(found, "street", "local"),
     ):  # fmt: skip
         with pytest.raises(store.StoreError, match=r"local · street/day.* of disk, 3.5 kB are free.* 'dtype: float16'"):
             attempt()
@@ -710,9 +711,9 @@ def test_entries_and_models_that_do_not_fit_are_named(project):
     with pytest.raises(ManifestError, match=r"methods\.hog has neither local_features nor code_bits"):
         extract.second_stage(found, traversal, "hog")
     with pytest.raises(ManifestError, match="silent re-ranks 4 candidates, but does not say by what"):
-        pipeline.evaluation(found, "street", "silent")
+        evaluated.evaluation(found, "street", "silent")
     with pytest.raises(ValueError, match="compare in their own ways"):
-        pipeline.evaluation(found, "street", "local", similarity="l2")
+        evaluated.evaluation(found, "street", "local", similarity="l2")
 
 
 @pytest.mark.parametrize("method", ["local", "half", "codes"])
@@ -732,7 +733,7 @@ def test_from_images_to_metrics_and_sweeps(project, method, monkeypatch):
     tables = [np.array([[score(q, i) for i in images] for q in second[0]]) for images in (second[1], second[0])]
     case = Case(*first, query.positions, database.positions, 1.0, tables[0], None, None, tables[1])
     definition = Definition(case)
-    result = pipeline.evaluation(found, "street", method, retrieve=2).evaluation
+    result = evaluated.evaluation(found, "street", method, retrieve=2).evaluation
     for distractors in (False, True):
         expected = definition.ranks(4, with_distractors=distractors)
         np.testing.assert_array_equal(result.ranks(distractors=distractors), expected)
@@ -742,7 +743,7 @@ def test_from_images_to_metrics_and_sweeps(project, method, monkeypatch):
     assert result.dar_by_ratio([0, 1]).tolist() == [result.recall(), result.dar()]
     shutil.rmtree(project / ".cache" / "local_features")
     monkeypatch.setattr(methods, "model_of", lambda *_: pytest.fail("a model was built"))
-    again = pipeline.evaluation(found, "street", method, retrieve=2).evaluation
+    again = evaluated.evaluation(found, "street", method, retrieve=2).evaluation
     np.testing.assert_array_equal(again.dar_by_distance(limits), expected)
     np.testing.assert_array_equal(again.retrieved(2, distractors=True)[0], result.retrieved(2, distractors=True)[0])
 
@@ -755,19 +756,19 @@ def test_studies_take_two_stage_methods_as_any_other(project):
     content["datasets"]["street"]["distractor_traversals"] = ["rain"]
     found = manifest.load(write_manifest(project, content))
     names = ["hog", "local", "codes"]
-    table = studies.recall_table(found, ["street"], names, k=2).table
+    table = studies.recall.recall_table(found, ["street"], names, k=2).table
     assert table["method"].tolist() == names
     assert table[["R", "DAR", "R_low", "DAR_high"]].notna().all(axis=None)
-    number = studies.distractor_number(found, "street", names, [0.0, 0.5, 1.0]).table
+    number = studies.distractors.distractor_number(found, "street", names, [0.0, 0.5, 1.0]).table
     ends = number.pivot_table(index="method", columns="ratio", values="DAR")
-    first = studies.recall_table(found, ["street"], names).table.set_index("method")
+    first = studies.recall.recall_table(found, ["street"], names).table.set_index("method")
     np.testing.assert_allclose(ends[0.0], first.loc[ends.index, "R"])
     np.testing.assert_allclose(ends[1.0], first.loc[ends.index, "DAR"])
-    distance = studies.distractor_distance(found, "street", names, [1.0, 4.0, np.inf]).table
+    distance = studies.distractors.distractor_distance(found, "street", names, [1.0, 4.0, np.inf]).table
     np.testing.assert_allclose(
         distance[distance["distance"] == 1.0].set_index("method").loc[names, "DAR"], first.loc[names, "DAR"]
     )
-    condition = studies.distractor_condition(found, "street", names).table
+    condition = studies.distractors.distractor_condition(found, "street", names).table
     assert condition.groupby("method")["traversal"].apply(list).loc["local"] == ["day", "rain", "none"]
 
 

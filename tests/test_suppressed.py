@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 import synthetic
 
-from artifact import compose, evaluate, findings, studies, suppressed
+from artifact import compose, evaluate, findings, studies
 from artifact.manifest.entries import ManifestError
-from artifact.studies import within
+from artifact.studies import fitted, within_session
 from artifact.suppression.inlp import INLP
 from artifact.suppression.leace import LEACE
 
@@ -39,11 +39,11 @@ def by_hand(one, region, transform=None):
 
 def test_the_table_holds_what_fitting_and_evaluating_by_hand_give(made):
     manifest, one = made
-    table = studies.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=5).table.set_index(
+    table = studies.suppression.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=5).table.set_index(
         "suppression"
     )
-    region = suppressed.split_of(one, 0.1)
-    X, condition = suppressed.fitting_data(one, region)
+    region = fitted.split_of(one, 0.1)
+    X, condition = fitted.fitting_data(one, region)
     assert (condition == 0).sum() == len(region.fit_queries) == table.loc["original", "fitted_queries"]
     for name, transform in (("original", None), ("LEACE", LEACE()), ("INLP", INLP(5))):
         expected = by_hand(one, region, None if transform is None else transform.fit(X, condition))
@@ -54,7 +54,7 @@ def test_the_table_holds_what_fitting_and_evaluating_by_hand_give(made):
 
 def test_suppression_undoes_a_condition_that_is_one_direction(made):
     manifest, _ = made
-    table = studies.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=5).table.set_index(
+    table = studies.suppression.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=5).table.set_index(
         "suppression"
     )
     assert table.loc["original", "DAR"] < 5
@@ -62,30 +62,30 @@ def test_suppression_undoes_a_condition_that_is_one_direction(made):
     for name in ("INLP", "LEACE"):
         assert table.loc[name, "DAR"] > 60
         assert table.loc[name, "probe"] < 75
-    counts = studies.improved(table.reset_index()).set_index("suppression")
+    counts = studies.suppression.improved(table.reset_index()).set_index("suppression")
     assert counts.loc["LEACE", ["pairs", "probe", "DAR"]].tolist() == [1, 1, 1]
 
 
 def test_a_second_reading_computes_nothing(made, monkeypatch):
     manifest, _ = made
-    first = studies.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=5).table
-    monkeypatch.setattr("artifact.suppressed.fit", None)
+    first = studies.suppression.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=5).table
+    monkeypatch.setattr("artifact.studies.fitted.fit", None)
     pd.testing.assert_frame_equal(
-        first, studies.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=5).table
+        first, studies.suppression.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=5).table
     )
 
 
 def test_fractions_start_at_the_original_and_share_one_evaluation_half(made):
     manifest, one = made
-    table = studies.fitting_fraction(manifest, ["made"], [synthetic.METHOD], [0.1, 0.5], iterations=3).table
+    table = studies.suppression.fitting_fraction(manifest, ["made"], [synthetic.METHOD], [0.1, 0.5], iterations=3).table
     assert set(table["suppression"]) == {"INLP", "LEACE", "STD"}
     assert (table.loc[table["fraction"] == 0, ["change_R", "change_DAR"]] == 0).all(axis=None)
-    half = suppressed.split_of(one, 0.5, 0.5)
-    X, condition = suppressed.fitting_data(one, half)
+    half = fitted.split_of(one, 0.5, 0.5)
+    X, condition = fitted.fitting_data(one, half)
     expected = by_hand(one, half, LEACE().fit(X, condition)).dar(1) - by_hand(one, half).dar(1)
     found = table.query("suppression == 'LEACE' and fraction == 0.5")["change_DAR"].item()
     assert found == pytest.approx(100 * expected)
-    means = studies.mean_by_fraction(table)
+    means = studies.suppression.mean_by_fraction(table)
     assert means["pairs"].tolist() == [1] * 9
     assert findings.a_tenth_suffices(means).agrees in (True, False)
     assert findings.a_tenth_suffices(means[means["fraction"] != 0.1]).agrees is None
@@ -95,9 +95,11 @@ def test_too_small_a_fraction_leaves_a_pair_out_of_the_means(tmp_path, monkeypat
     large, small = synthetic.described(), synthetic.described(n=24, name="small")
     synthetic.offer(monkeypatch, large, small)
     manifest = synthetic.manifest(tmp_path, large, small)
-    table = studies.fitting_fraction(manifest, ["made", "small"], [synthetic.METHOD], [0.04, 0.3], iterations=2).table
+    table = studies.suppression.fitting_fraction(
+        manifest, ["made", "small"], [synthetic.METHOD], [0.04, 0.3], iterations=2
+    ).table
     assert set(table.query("dataset == 'small'")["fraction"]) == {0, 0.3}
-    means = studies.mean_by_fraction(table)
+    means = studies.suppression.mean_by_fraction(table)
     whole = table.query("dataset == 'made' and suppression == 'LEACE'").set_index("fraction")
     found = means.query("suppression == 'LEACE'").set_index("fraction")
     np.testing.assert_allclose(found["change_DAR"], whole["change_DAR"])
@@ -105,19 +107,21 @@ def test_too_small_a_fraction_leaves_a_pair_out_of_the_means(tmp_path, monkeypat
 
 def test_the_composed_transform_is_fitted_in_turn_and_erases_both_conditions(two):
     manifest, both = two
-    erasure, _ = suppressed.sequential(manifest, ["made", "other"], synthetic.METHOD, "LEACE")
-    X, condition = suppressed.fitting_data(both["made"], suppressed.split_of(both["made"], 0.1))
+    erasure, _ = fitted.sequential(manifest, ["made", "other"], synthetic.METHOD, "LEACE")
+    X, condition = fitted.fitting_data(both["made"], fitted.split_of(both["made"], 0.1))
     first = LEACE().fit(X, condition)
-    X, condition = suppressed.fitting_data(both["other"], suppressed.split_of(both["other"], 0.1))
+    X, condition = fitted.fitting_data(both["other"], fitted.split_of(both["other"], 0.1))
     second = LEACE().fit(first.transform(X), condition)
     probe = both["other"].query.values
     np.testing.assert_allclose(erasure.composed.transform(probe), second.transform(first.transform(probe)), atol=1e-5)
     np.testing.assert_allclose(compose(first, second).transform(probe), erasure.composed.transform(probe), atol=1e-5)
-    table = studies.single_against_multi(manifest, ["made", "other"], [synthetic.METHOD], iterations=5).table
+    table = studies.composition.single_against_multi(
+        manifest, ["made", "other"], [synthetic.METHOD], iterations=5
+    ).table
     assert len(table) == 4
     assert (table.query("suppression == 'LEACE'")["multi_DAR"] > 50).all()
     np.testing.assert_allclose(table["difference_DAR"], table["single_DAR"] - table["multi_DAR"])
-    summary = studies.summary(table, ["suppression"]).set_index("suppression")
+    summary = studies.composition.summary(table, ["suppression"]).set_index("suppression")
     part = table.query("suppression == 'INLP'")["difference_R"]
     assert summary.loc["INLP", "mean_R"] == pytest.approx(part.mean())
     assert summary.loc["INLP", "std_R"] == pytest.approx(np.std(part))
@@ -126,12 +130,14 @@ def test_the_composed_transform_is_fitted_in_turn_and_erases_both_conditions(two
 
 def test_irrelevant_pairs_meet_the_composed_transform_outside_the_fitting_region(two):
     manifest, _ = two
-    table = studies.irrelevant_conditions(manifest, ["made", "other"], [synthetic.METHOD], iterations=4).table
+    table = studies.composition.irrelevant_conditions(
+        manifest, ["made", "other"], [synthetic.METHOD], iterations=4
+    ).table
     assert table["pair"].unique().tolist() == ["day–dusk"]
     assert len(table) == 4
     # Day and dusk differ little along the direction, so there is little to gain and nothing to lose.
     assert (table.query("suppression == 'LEACE'")["difference_R"] <= 5).all()
-    finding = findings.irrelevant_conditions_unharmed(studies.summary(table, ["suppression", "pair"]))
+    finding = findings.irrelevant_conditions_unharmed(studies.composition.summary(table, ["suppression", "pair"]))
     assert finding.page == "tab05"
 
 
@@ -141,12 +147,12 @@ def test_the_papers_order_of_fitting(tmp_path):
     names = {"a": {"mirrors": "St Lucia"}, "b": {"mirrors": "Nordland"}, "c": {}, "d": {"reported_as": "amstertime"}}
     for name, update in names.items():
         manifest.datasets[name] = manifest.datasets[name].model_copy(update=update)
-    assert studies.order_of_fitting(manifest, ["a", "b", "c", "d"]) == ["b", "d", "a", "c"]
+    assert studies.composition.order_of_fitting(manifest, ["a", "b", "c", "d"]) == ["b", "d", "a", "c"]
 
 
 def test_mixed_databases_count_added_images_within_the_threshold_as_right(made):
     manifest, one = made
-    mixed = studies.mixed_database(manifest, "made", synthetic.METHOD, share=0.1)
+    mixed = studies.mixed_database.mixed_database(manifest, "made", synthetic.METHOD, share=0.1)
     assert len(mixed.added) == 12
     data = one.dataset
     everything = np.concatenate([one.database.values, one.descriptors["dusk"].values[mixed.added]])
@@ -155,14 +161,16 @@ def test_mixed_databases_count_added_images_within_the_threshold_as_right(made):
     right = np.linalg.norm(data.query.positions - places[best], axis=1) <= data.threshold
     assert mixed.evaluations["mixed"].recall(1) == pytest.approx(right.mean())
     assert mixed.evaluations["single"].recall(1) > mixed.evaluations["mixed"].recall(1)
-    table = studies.mixed_table({synthetic.METHOD: mixed})
+    table = studies.mixed_database.mixed_table({synthetic.METHOD: mixed})
     assert table.query("evaluation == 'mixed'")["retrieved"].tolist() == best.tolist()
     assert findings.few_images_lower_recall({synthetic.METHOD: mixed}, {synthetic.METHOD: "Coded"}).agrees
 
 
 def test_suppression_of_a_mixed_database_keeps_the_fitted_places_out(made):
     manifest, one = made
-    found = studies.mixed_database_suppressed(manifest, "made", synthetic.METHOD, share=0.2, iterations=4)
+    found = studies.mixed_database.mixed_database_suppressed(
+        manifest, "made", synthetic.METHOD, share=0.2, iterations=4
+    )
     data = one.dataset
     fitted = data.query.positions[found.fitted_queries]
     added = data.traversals["dusk"].positions[found.added]
@@ -176,25 +184,25 @@ def test_a_mixed_database_needs_a_traversal(tmp_path, monkeypatch):
     one = synthetic.described(extra=())
     synthetic.offer(monkeypatch, one)
     with pytest.raises(ManifestError, match="same_condition_traversal"):
-        studies.mixed_database(synthetic.manifest(tmp_path, one), "made", synthetic.METHOD)
+        studies.mixed_database.mixed_database(synthetic.manifest(tmp_path, one), "made", synthetic.METHOD)
 
 
 @pytest.mark.slow
 def test_umap_mixes_the_conditions_after_suppression(made):
     manifest, _ = made
-    one = studies.embedding(manifest, "made", synthetic.METHOD, iterations=4)
+    one = studies.embedding.embedding(manifest, "made", synthetic.METHOD, iterations=4)
     assert one.before.shape == one.after.shape == (len(one.before), 2)
-    assert studies.nearest_share(one.before, one) < 0.05 < studies.nearest_share(one.after, one)
+    assert studies.embedding.nearest_share(one.before, one) < 0.05 < studies.embedding.nearest_share(one.after, one)
     assert (one.partners[:, 0] < one.n_queries).all()
     assert (one.partners[:, 1] >= one.n_queries).all()
-    assert len(studies.embedding_table(one)) == len(one.before)
+    assert len(studies.embedding.embedding_table(one)) == len(one.before)
 
 
 def test_what_is_erased_follows_every_iteration(made):
     manifest, one = made
-    erased = studies.what_is_erased(manifest, "made", synthetic.METHOD, iterations=4)
+    erased = studies.erased.what_is_erased(manifest, "made", synthetic.METHOD, iterations=4)
     region = erased.split
-    X, condition = suppressed.fitting_data(one, region)
+    X, condition = fitted.fitting_data(one, region)
     inlp = INLP(4).fit(X, condition)
     for step in range(5):
         expected = by_hand(one, region, inlp.at(step))
@@ -211,8 +219,8 @@ def test_what_is_erased_follows_every_iteration(made):
 
 def test_similarities_of_pairs_move_apart(made):
     manifest, _ = made
-    found = studies.what_is_erased(manifest, "made", synthetic.METHOD, iterations=2).similarities
-    positive, distractor, other = studies.KINDS
+    found = studies.erased.what_is_erased(manifest, "made", synthetic.METHOD, iterations=2).similarities
+    positive, distractor, other = studies.erased.KINDS
     means = {view: {kind: values.mean() for kind, values in kinds.items()} for view, kinds in found.items()}
     assert means["original"][distractor] > means["original"][positive] > means["original"][other]
     assert means["LEACE"][positive] > means["LEACE"][distractor]
@@ -234,8 +242,8 @@ def brightness_described(effect, n=160, d=48, seed=1):
 def gaps(tmp_path, monkeypatch, effect):
     one, measures = brightness_described(effect)
     synthetic.offer(monkeypatch, one)
-    monkeypatch.setattr(within, "appearance", lambda *_: measures)
-    table = studies.within_session(
+    monkeypatch.setattr(within_session, "appearance", lambda *_: measures)
+    table = studies.within_session.within_session(
         synthetic.manifest(tmp_path, one), ["made"], [synthetic.METHOD], fraction=0.3, iterations=3
     ).table
     return table.set_index("view")
@@ -259,9 +267,9 @@ def test_a_brightness_that_descriptors_ignore_takes_none(tmp_path, monkeypatch):
 
 def test_sides_are_halves_and_turns_keep_them():
     values = np.random.default_rng(0).permutation(41)
-    labels = within.sides(values)
+    labels = within_session.sides(values)
     assert labels.sum() == 21
     assert values[labels == 1].min() > values[labels == 0].max()
-    for turn in within.turned(labels):
+    for turn in within_session.turned(labels):
         assert turn.sum() == labels.sum()
-    np.testing.assert_array_equal(within.turned(labels)[0], labels)
+    np.testing.assert_array_equal(within_session.turned(labels)[0], labels)

@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from artifact import __version__
+from artifact import __version__, studies
 
 EPILOG = "The Makefile calls these commands; `make help` lists them. See README.md for what each costs."
 
@@ -243,11 +243,10 @@ def _extract(options: argparse.Namespace) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> None:
-    from artifact import studies
 
     manifest = _manifest(options)
     profile = manifest.profile(options.profile)
-    study = studies.recall_table(
+    study = studies.recall.recall_table(
         manifest, options.datasets or profile.datasets, options.methods or profile.methods, k=options.k
     )
     shown = study.table[["title", "method", "R", "DAR", "RSR", "queries", "origin"]]

@@ -13,9 +13,9 @@ from artifact.datasets import Dataset, Traversal
 from artifact.datasets.images import read_image
 from artifact.figures.embed import embed
 from artifact.metrics.evaluation import Evaluation
-from artifact.pipeline import Measured
 from artifact.plotting import QUERY_COLOUR, RIGHT_COLOUR, WRONG_COLOUR, show_image
 from artifact.studies.erased import Erased
+from artifact.studies.evaluated import Measured
 
 _WIDTH = 320  # pixels of a picture in a sheet
 
@@ -124,7 +124,7 @@ def recovered_strips(erased: Erased, view: str, n: int = 4) -> HTML:
     Parameters
     ----------
     erased
-        From :func:`artifact.studies.what_is_erased`.
+        From :func:`artifact.studies.erased.what_is_erased`.
     view
         ``"LEACE"`` or ``"INLP"``.
     n

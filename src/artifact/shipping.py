@@ -1,6 +1,6 @@
 """Write the descriptors that ship with the package, so that a machine without the images still shows real results.
 
-For maintainers: run where the images are, then commit ``src/artifact/shipped``. The values are stored as float16; the
+For maintainers: run where the images are, then commit ``src/artifact/datasets/shipped_descriptors``. The values are stored as float16; the
 tests assert that every rank stays the same.
 """
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from artifact import datasets, paper, store, studies
+from artifact import datasets, store, studies
 from artifact.datasets import shipped
 from artifact.manifest import Manifest
 from artifact.methods import weights
@@ -65,7 +65,7 @@ def _verify_weights(manifest: Manifest, profile: str) -> tuple[list[str], int]:
 def _compare(manifest: Manifest, profile: str) -> tuple[list[str], int]:
     entry = manifest.profile(profile)
     reported = {name: e for name in entry.datasets if (e := datasets.entry_of(manifest, name)).reported_as}
-    methods = [name for name in entry.methods if name in paper.method_titles()]
+    methods = [name for name in entry.methods if name in reported.method_titles()]
     if not reported or not methods:
         what = "dataset" if not reported else "method"
         return [f"profile {profile!r} has no {what} of the paper: nothing to compare with its numbers"], 0
@@ -75,10 +75,10 @@ def _compare(manifest: Manifest, profile: str) -> tuple[list[str], int]:
         if missing:
             lines.append(f"MISSING   {name}: {missing.splitlines()[0]}")
             continue
-        for row in studies.recall_table(manifest, [name], methods).table.to_dict("records"):
-            for metric in studies.METRICS:
+        for row in studies.recall.recall_table(manifest, [name], methods).table.to_dict("records"):
+            for metric in studies.common.METRICS:
                 value = row[f"reported_{metric}"]
-                judged = paper.verdict(row[metric], value, None if metric == "RSR" else row["queries"])
+                judged = reported.verdict(row[metric], value, None if metric == "RSR" else row["queries"])
                 different += judged == "different"
                 shown = "–" if pd.isna(value) else f"{value:.2f}"
                 lines.append(

@@ -1,6 +1,6 @@
 """Real descriptors that ship with the package, for machines without the images.
 
-``shipped/<dataset>/traversals.json`` records the image names and content digest of each traversal; each
+``shipped_descriptors/<dataset>/traversals.json`` records the image names and content digest of each traversal; each
 ``<traversal>-<method>.npy`` (float16) has a sidecar with the key that it was made under. They are used only when
 that key equals the key that the code at hand would use, so an outdated file is never passed off as current.
 """
@@ -18,7 +18,7 @@ import numpy as np
 
 def folder() -> Path:
     """Return the package folder of shipped descriptors."""
-    return Path(str(files("artifact"))) / "shipped"
+    return Path(str(files("artifact.datasets"))) / "shipped_descriptors"
 
 
 def traversal(dataset: str, name: str) -> tuple[list[str], str] | None:

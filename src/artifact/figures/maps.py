@@ -21,7 +21,8 @@ from artifact.plotting import (
     RIGHT_COLOUR,
     WRONG_COLOUR,
 )
-from artifact.studies.maps import Embedding, MixedDatabase
+from artifact.studies.embedding import Embedding
+from artifact.studies.mixed_database import MixedDatabase
 
 _MATCHES = 500
 """Most matches drawn, as in the paper's Fig. 9."""

@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
 
-from artifact import paper
 from artifact.figures.embed import embed
 from artifact.plotting import (
     DATABASE_COLOUR,
@@ -22,6 +21,7 @@ from artifact.plotting import (
     method_style,
     percent_axis,
 )
+from artifact.studies import reported
 
 # -- Fig. 5 -------------------------------------------------------------------------------------------------
 
@@ -40,10 +40,10 @@ def scatter(table: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> HT
 
 def reported_scatter() -> HTML:
     """Draw Fig. 5 from the values that the paper plots."""
-    points = paper.reported("fig05").rename(columns={"recall_percent": "recall", "dar_percent": "dar"})
-    named = paper.dataset_titles()
+    points = reported.table("fig05").rename(columns={"recall_percent": "recall", "dar_percent": "dar"})
+    named = reported.dataset_titles()
     panels = {named[dataset]: rows for dataset, rows in points.groupby("dataset", sort=False)}
-    titles = paper.method_titles()
+    titles = reported.method_titles()
     return embed(_scatter(panels, titles, 1), "The paper's DAR@1 against R@1 of eleven methods on six datasets")
 
 
@@ -87,11 +87,11 @@ def number_and_distance(
 
 def reported_number_and_distance() -> HTML:
     """Draw Fig. 6 from the values that the paper plots for RobotCar."""
-    number = paper.reported("fig06_number").rename(columns={"dar_percent": "DAR"})
-    distance = paper.reported("fig06_distance").rename(
+    number = reported.table("fig06_number").rename(columns={"dar_percent": "DAR"})
+    distance = reported.table("fig06_distance").rename(
         columns={"dar_percent": "DAR", "minimum_distance_metres": "distance"}
     )
-    titles = paper.method_titles()
+    titles = reported.method_titles()
     figure = _number_and_distance(number, distance, titles, 1, "m")
     return embed(figure, "The paper's DAR@1 on RobotCar against distractor number and distance")
 
@@ -140,8 +140,8 @@ def condition(table: pd.DataFrame, titles: Mapping[str, str], *, query_condition
 
 def reported_condition() -> HTML:
     """Draw Fig. 7 from the values that the paper plots for RobotCar."""
-    table = paper.reported("fig07").rename(columns={"dar_percent": "DAR", "distractor_condition": "condition"})
-    titles = paper.method_titles()
+    table = reported.table("fig07").rename(columns={"dar_percent": "DAR", "distractor_condition": "condition"})
+    titles = reported.method_titles()
     return embed(_condition(table, titles, "sun,clouds", 1), "The paper's DAR@1 on RobotCar by distractor condition")
 
 

@@ -10,9 +10,9 @@ from IPython.display import HTML
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from artifact import paper
 from artifact.figures.embed import embed
 from artifact.plotting import SUPPRESSION_COLOURS, percent_axis
+from artifact.studies import reported
 from artifact.studies.erased import KINDS
 
 _QUANTITIES = {
@@ -31,7 +31,7 @@ def heat_maps(table: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> 
     Parameters
     ----------
     table
-        As from :func:`artifact.studies.suppression_table`.
+        As from :func:`artifact.studies.suppression.suppression_table`.
     titles
         Method name to printed title.
     k
@@ -98,7 +98,7 @@ def fraction_curves(means: pd.DataFrame, *, k: int = 1) -> HTML:
 
 def reported_fraction_curves() -> HTML:
     """Draw Fig. 10 from the values that the paper plots."""
-    wide = paper.reported("fig10").pivot_table(
+    wide = reported.table("fig10").pivot_table(
         index=["suppression", "fitting_fraction"], columns="metric", values="change_pp", sort=False
     )
     means = wide.reset_index().rename(
@@ -187,7 +187,7 @@ def sided_gaps(table: pd.DataFrame, titles: Mapping[str, str]) -> HTML:
     Parameters
     ----------
     table
-        Rows of one statistic, as from :func:`artifact.studies.within_session`.
+        Rows of one statistic, as from :func:`artifact.studies.within_session.within_session`.
     titles
         Method name to printed title.
     """

@@ -13,7 +13,7 @@ from artifact.findings import retrieval, suppression
 from artifact.findings.finding import Finding
 from artifact.manifest import Manifest
 from artifact.manifest.entries import DatasetEntry
-from artifact.studies import Study
+from artifact.studies.common import Study
 
 DISTANCES = (25.0, 50.0, 75.0, 100.0, 150.0, 200.0)
 """Minimum distractor distances of Fig. 6b, in metres."""
@@ -38,7 +38,7 @@ def collect(manifest: Manifest, names: Sequence[str], methods: Sequence[str], *,
     """Evaluate every claim that the datasets at hand can speak to, in the order of the paper."""
     titles = {method: manifest.method(method).title for method in methods}
     entries = {name: data.entry_of(manifest, name) for name in names}
-    recall = studies.recall_table(manifest, names, methods, seed=seed)
+    recall = studies.recall.recall_table(manifest, names, methods, seed=seed)
     found = [
         retrieval.distractors_lower_recall(recall.table, titles),
         retrieval.ranking_changes(recall.table, titles),
@@ -68,8 +68,8 @@ def _distractors(
     if metric is not None:
         threshold = entries[metric].threshold.value
         distances = [threshold, *(d for d in DISTANCES if d > threshold), float("inf")]
-        number = studies.distractor_number(manifest, metric, methods, RATIOS, seed=seed)
-        distance = studies.distractor_distance(manifest, metric, methods, distances, seed=seed)
+        number = studies.distractors.distractor_number(manifest, metric, methods, RATIOS, seed=seed)
+        distance = studies.distractors.distractor_distance(manifest, metric, methods, distances, seed=seed)
         found += [
             retrieval.few_distractors_suffice(number.table, titles),
             retrieval.near_distractors_hurt_most(distance.table, titles, "metres"),
@@ -77,7 +77,7 @@ def _distractors(
         used += [number, distance]
     several = next((name for name, entry in entries.items() if entry.distractor_traversals), None)
     if several is not None:
-        condition = studies.distractor_condition(manifest, several, methods, seed=seed)
+        condition = studies.distractors.distractor_condition(manifest, several, methods, seed=seed)
         entry = entries[several]
         conditions = [entry.traversals[name].condition for name in (entry.query, entry.database)]
         found += [
@@ -99,8 +99,8 @@ def _mixed(
     name = next((name for name, entry in entries.items() if entry.same_condition_traversal), None)
     if name is None:
         return [], []
-    mixed = {m: studies.mixed_database(manifest, name, m, seed=seed) for m in methods}
-    suppressed = {m: studies.mixed_database_suppressed(manifest, name, m, seed=seed) for m in methods}
+    mixed = {m: studies.mixed_database.mixed_database(manifest, name, m, seed=seed) for m in methods}
+    suppressed = {m: studies.mixed_database.mixed_database_suppressed(manifest, name, m, seed=seed) for m in methods}
     inputs = tuple(record for one in mixed.values() for record in one.described.inputs)
     return [
         suppression.few_images_lower_recall(mixed, titles),
@@ -112,21 +112,21 @@ def _suppression(
     manifest: Manifest, names: Sequence[str], methods: Sequence[str], titles: Mapping[str, str], seed: int
 ) -> tuple[list[Finding], list[Study]]:
     """Figs. 8 and 10, Tables IV and V."""
-    order = studies.order_of_fitting(manifest, names)
-    changes = studies.suppression_table(manifest, names, methods, seed=seed)
-    multi = studies.single_against_multi(manifest, order, methods, seed=seed)
-    irrelevant = studies.irrelevant_conditions(manifest, order, methods, seed=seed)
-    fractions = studies.fitting_fraction(manifest, names, methods, FRACTIONS, seed=seed)
+    order = studies.composition.order_of_fitting(manifest, names)
+    changes = studies.suppression.suppression_table(manifest, names, methods, seed=seed)
+    multi = studies.composition.single_against_multi(manifest, order, methods, seed=seed)
+    irrelevant = studies.composition.irrelevant_conditions(manifest, order, methods, seed=seed)
+    fractions = studies.suppression.fitting_fraction(manifest, names, methods, FRACTIONS, seed=seed)
     found = [
         suppression.labels_less_accessible(changes.table),
         suppression.suppression_raises_dar(changes.table, titles),
         suppression.suppression_keeps_recall(changes.table, titles),
-        suppression.one_transform_for_all(studies.summary(multi.table, ["suppression"])),
+        suppression.one_transform_for_all(studies.composition.summary(multi.table, ["suppression"])),
     ]
     used = [changes, multi]
     if len(irrelevant.table):
-        summary = studies.summary(irrelevant.table, ["suppression", "pair"])
+        summary = studies.composition.summary(irrelevant.table, ["suppression", "pair"])
         found.append(suppression.irrelevant_conditions_unharmed(summary))
         used.append(irrelevant)
-    found.append(suppression.a_tenth_suffices(studies.mean_by_fraction(fractions.table)))
+    found.append(suppression.a_tenth_suffices(studies.suppression.mean_by_fraction(fractions.table)))
     return found, [*used, fractions]

@@ -10,7 +10,7 @@ import pandas as pd
 
 from artifact.findings.finding import CLEARLY_PP, SIMILAR_PP, Finding
 from artifact.metrics.statistics import rank_agreement
-from artifact.studies import with_means
+from artifact.studies.recall import with_means
 
 
 def ranking_changes(table: pd.DataFrame, titles: Mapping[str, str], k: int = 1) -> Finding:

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import pandas as pd
 
 from artifact.findings.finding import Finding
-from artifact.studies import MixedDatabase, improved
+from artifact.studies.mixed_database import MixedDatabase
+from artifact.studies.suppression import improved
 
 NO_LOSS_PP = 1.1
 """Largest fall of R@1 that the paper still calls preserved (§V-D), in percentage points."""

@@ -9,12 +9,14 @@ from typing import Any
 import pandas as pd
 from IPython.display import HTML
 
-from artifact import paper
 from artifact.manifest import Manifest
 from artifact.notebook import Page
-from artifact.protocol import Decision
 from artifact.report.common import interval, marks, number, table
-from artifact.studies import METRICS, input_in_words, with_means
+from artifact.studies import reported
+from artifact.studies.catalogue import input_in_words
+from artifact.studies.common import METRICS
+from artifact.studies.protocol import Decision
+from artifact.studies.recall import with_means
 
 
 def recall_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1, label: str) -> HTML:
@@ -23,7 +25,7 @@ def recall_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1, 
     Parameters
     ----------
     frame
-        As from :func:`artifact.studies.recall_table`.
+        As from :func:`artifact.studies.recall.recall_table`.
     titles
         Method name to printed title.
     k
@@ -51,10 +53,10 @@ def recall_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1, 
 
 def reported_recall_table() -> HTML:
     """Show the paper's own Table III, with its marks and ranks, labelled as reported."""
-    cells = paper.reported("tab03")
+    cells = reported.table("tab03")
     names = list(dict.fromkeys(cells["dataset"]))
-    titles = paper.method_titles()
-    named = paper.dataset_titles() | {"mean": "Mean"}
+    titles = reported.method_titles()
+    named = reported.dataset_titles() | {"mean": "Mean"}
     by_cell = cells.set_index(["dataset", "metric", "method"]).sort_index()
     columns, marked = {}, {}
     for name in names:
@@ -171,7 +173,7 @@ def datasets_table(frame: pd.DataFrame) -> HTML:
 
 def reported_datasets_table() -> HTML:
     """Show the paper's Table I."""
-    frame = paper.reported("tab01")
+    frame = reported.table("tab01")
     shown = pd.DataFrame(
         {
             "Dataset": frame["title"],
@@ -216,9 +218,9 @@ def reported_methods_table(manifest: Manifest, catalogue: pd.DataFrame) -> HTML:
     manifest
         Input size, batch and licence of each method.
     catalogue
-        As from :func:`artifact.studies.methods_of_the_paper`: parameters, and whether the weights are here.
+        As from :func:`artifact.studies.catalogue.methods_of_the_paper`: parameters, and whether the weights are here.
     """
-    frame = paper.reported("tab02")
+    frame = reported.table("tab02")
     entries = [manifest.methods.get(name) for name in frame["method"]]
     ours = catalogue.set_index("method").reindex(frame["method"])
     shown = pd.DataFrame(
@@ -267,5 +269,5 @@ def _beside(row: Mapping[str, Any], metric: str) -> str:
     if pd.isna(reported):
         return text
     # RSR is a ratio of two counts, so it has no resolution of one query.
-    judged = paper.verdict(row[metric], reported, None if metric == "RSR" else row["queries"])
+    judged = reported.verdict(row[metric], reported, None if metric == "RSR" else row["queries"])
     return f'{text}<small>paper {number(reported)} <span class="verdict {judged}">{judged}</span></small>'

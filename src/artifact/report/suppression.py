@@ -9,9 +9,12 @@ import numpy as np
 import pandas as pd
 from IPython.display import HTML
 
-from artifact import paper
 from artifact.report.common import number, table
-from artifact.studies import KINDS, PERCENT, Erased, MixedDatabase, improved
+from artifact.studies import reported
+from artifact.studies.common import PERCENT
+from artifact.studies.erased import KINDS, Erased
+from artifact.studies.mixed_database import MixedDatabase
+from artifact.studies.suppression import improved
 
 
 def change(value: float, *, digits: int = 1) -> str:
@@ -64,10 +67,10 @@ def mixed_table(found: Mapping[str, MixedDatabase], panels: Mapping[str, str], t
 
 def reported_mixed_table(name: str) -> HTML:
     """Show the values that the paper prints in Fig. 2 (``"fig02"``) or Fig. 9 (``"fig09"``)."""
-    frame = paper.reported(name)
+    frame = reported.table(name)
     column = next(c for c in frame.columns if c not in ("method", "recall_percent"))
     wide = frame.pivot_table(index="method", columns=column, values="recall_percent", sort=False)
-    titles = paper.method_titles()
+    titles = reported.method_titles()
     first, second = wide.columns
     rows = [
         {
@@ -90,7 +93,7 @@ def reported_mixed_table(name: str) -> HTML:
 def improved_table(frame: pd.DataFrame, *, k: int = 1) -> HTML:
     """Show how many method–dataset pairs improve, measured and reported."""
     counts = improved(frame).set_index("suppression")
-    reported = paper.reported("fig08").set_index(["quantity", "suppression"])
+    expected = reported.table("fig08").set_index(["quantity", "suppression"])
     columns = {"probe": "probe accuracy", "DAR": "DAR@1", "R": "R@1"}
     rows = []
     for suppressor, row in counts.iterrows():
@@ -98,8 +101,8 @@ def improved_table(frame: pd.DataFrame, *, k: int = 1) -> HTML:
         for column, quantity in columns.items():
             name = {"probe": "Probe accuracy falls", "DAR": f"DAR@{k} rises", "R": f"R@{k} rises"}[column]
             shown[f"{name}, measured"] = f"{row[column]} / {row['pairs']}"
-            if (quantity, suppressor) in reported.index:
-                cell = reported.loc[(quantity, suppressor)]
+            if (quantity, suppressor) in expected.index:
+                cell = expected.loc[(quantity, suppressor)]
                 shown[f"{name}, paper"] = f"{cell['improved']} / {cell['pairs']}"
         rows.append(shown)
     shown = pd.DataFrame(rows)
@@ -141,7 +144,7 @@ def equivalence_table(summary: pd.DataFrame, by: Mapping[str, str], *, k: int = 
     Parameters
     ----------
     summary
-        As from :func:`artifact.studies.summary`.
+        As from :func:`artifact.studies.composition.summary`.
     by
         Columns that name a row, with their headings.
     k
@@ -160,7 +163,7 @@ def equivalence_table(summary: pd.DataFrame, by: Mapping[str, str], *, k: int = 
 
 def reported_equivalence_table(name: str) -> HTML:
     """Show the paper's Table IV (``"tab04"``) or V (``"tab05"``)."""
-    frame = paper.reported(name)
+    frame = reported.table(name)
     by = [column for column in ("suppression", "pair") if column in frame]
     total = "pairs" if "pairs" in frame else "methods"
     rows = []

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
+import numpy as np
 import pandas as pd
 
+from artifact import datasets as data
 from artifact import methods
-from artifact.extraction import timing
+from artifact.datasets.positives import positives_of
+from artifact.extraction import extract, timing
 from artifact.manifest import Manifest
+from artifact.manifest.entries import Preprocessing
 from artifact.methods import parity, weights
+from artifact.studies.common import PERCENT, Study
 
 COLUMNS = [
     "method", "title", "parameters", "dimension", "seconds", "timed", "code_licence", "weights", "weights_licence", "terms", "how",
@@ -65,3 +72,92 @@ def parity_table(manifest: Manifest) -> pd.DataFrame:
     table = parity.recorded()
     titles = {name: entry.title for name, entry in manifest.methods.items()}
     return table.assign(title=table["method"].map(lambda name: titles.get(name, name)))
+
+
+def datasets_table(manifest: Manifest, names: Iterable[str]) -> Study:
+    """Table I: query and database traversals, their sizes, the threshold and the condition shift.
+
+    Returns
+    -------
+    Study
+        One row per dataset: ``dataset``, ``title``, ``query``, ``database``, ``queries``, ``evaluated`` (queries
+        with a positive), ``database_images``, ``threshold``, ``shift``, ``positives`` (median number per
+        evaluated query), ``images`` (real or rendered), ``mirrors``, ``licence``.
+    """
+    rows = []
+    for name in names:
+        entry, loaded = data.entry_of(manifest, name), data.load(manifest, name)
+        starts, _ = positives_of(loaded.query.positions, loaded.database.positions, loaded.threshold)
+        counts = np.diff(starts)
+        rows.append(
+            {
+                "dataset": name,
+                "title": entry.title,
+                "query": loaded.query_name,
+                "database": loaded.database_name,
+                "queries": len(loaded.query),
+                "evaluated": int((counts > 0).sum()),
+                "database_images": len(loaded.database),
+                "threshold": str(entry.threshold),
+                "shift": entry.shift,
+                "positives": float(np.median(counts[counts > 0])) if counts.any() else 0.0,
+                "images": "real" if loaded.real else "rendered",
+                "mirrors": entry.mirrors or "",
+                "licence": entry.licence,
+            }
+        )
+    return Study(pd.DataFrame(rows), ())
+
+
+def methods_table(manifest: Manifest, names: Iterable[str], methods: Iterable[str]) -> Study:
+    """Table II: what each method is and how fast it ran on the images at hand.
+
+    Returns
+    -------
+    Study
+        One row per method: ``method``, ``title``, ``kind``, ``backbone``, ``aggregation``, ``dimension``,
+        ``train_data``, ``rerank``, ``input`` (preprocessing in words), ``batch_size``, ``licence``, ``images_per_second``
+        (the model's own rate during extraction), ``busy`` (its share of the wall time, in percent), ``device``.
+    """
+    rows = []
+    loaded = [data.load(manifest, name) for name in names]
+    for method in methods:
+        entry = manifest.method(method)
+        found = [
+            extract.descriptors(manifest, traversal, method)
+            for dataset in loaded
+            for traversal in dataset.traversals.values()
+        ]
+        timed = [one.sidecar for one in {one.key: one for one in found}.values() if one.sidecar.get("forward_seconds")]
+        forward = sum(sidecar["forward_seconds"] for sidecar in timed)
+        wall = sum(sidecar["seconds"] for sidecar in timed)
+        rows.append(
+            {
+                "method": method,
+                "title": entry.title,
+                "kind": entry.kind,
+                "backbone": entry.backbone,
+                "aggregation": entry.aggregation,
+                "dimension": entry.dimension,
+                "train_data": entry.train_data,
+                "rerank": f"top {entry.rerank}" if entry.rerank else "–",
+                "input": input_in_words(entry.preprocessing),
+                "batch_size": entry.batch_size,
+                "licence": entry.licence,
+                "images_per_second": sum(s["shape"][0] for s in timed) / forward if timed else np.nan,
+                "busy": PERCENT * forward / wall if timed else np.nan,
+                "device": ", ".join(sorted({sidecar["device"] for sidecar in timed})) or "–",
+            }
+        )
+    return Study(pd.DataFrame(rows), ())
+
+
+def input_in_words(preprocessing: Preprocessing) -> str:
+    """Say how images are prepared, for example ``322×322 bicubic``."""
+    p = preprocessing
+    size = f"{p.size[0]}×{p.size[1]}" if p.size else "native size"
+    if p.longest_side:
+        size += f", at most {p.longest_side}"
+    crop = f", cropped to ×{p.crop_to_multiple_of}" if p.crop_to_multiple_of > 1 else ""
+    how = f" {p.interpolation}" if p.size or p.longest_side else ""
+    return f"{size}{how}{crop}{', grey' if p.colour == 'grey' else ''}{'' if p.antialias else ', not antialiased'}"

@@ -9,7 +9,7 @@ import pandas as pd
 
 from artifact import datasets as data
 from artifact.manifest import Manifest
-from artifact.pipeline import Measured
+from artifact.studies.evaluated import Measured
 
 PERCENT = 100.0
 METRICS = ("R", "DAR", "RSR")

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from artifact import suppressed
 from artifact.datasets.positives import positives_of
 from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.stored import stored
 from artifact.ranking.one_pass import ORIGINAL
+from artifact.studies import fitted
 from artifact.studies.common import PERCENT
 from artifact.suppression.inlp import INLP
 from artifact.suppression.leace import LEACE
@@ -62,15 +62,15 @@ def what_is_erased(
 ) -> Erased:
     """Compare original and suppressed descriptors: similarities, every INLP iteration, each query's top image."""
     described = describe(manifest, dataset, method)
-    region = suppressed.split_of(described, fraction)
-    key = suppressed.key_of("erased", [described], [fraction, iterations, seed, PAIRS])
+    region = fitted.split_of(described, fraction)
+    key = fitted.key_of("erased", [described], [fraction, iterations, seed, PAIRS])
 
     def compute() -> dict[str, Any]:
-        X, condition = suppressed.fitting_data(described, region)
+        X, condition = fitted.fitting_data(described, region)
         inlp, leace = INLP(iterations, seed=seed).fit(X, condition), LEACE().fit(X, condition)
         steps = {f"INLP {i}": inlp.at(i) for i in range(1, iterations + 1)}
         # The last iteration is the fitted INLP; the ones between need no retrieval lists but share the pass.
-        found = suppressed.evaluate_region(described, region, {"LEACE": leace, **steps}, retrieve=1, seed=seed)
+        found = fitted.evaluate_region(described, region, {"LEACE": leace, **steps}, retrieve=1, seed=seed)
         results: dict[str, Any] = {"views": found, "accuracies": inlp.accuracies_}
         for view, transform in ((ORIGINAL, None), ("LEACE", leace), ("INLP", inlp)):
             for kind, values in _similarities(described, region, transform, seed).items():
@@ -96,7 +96,7 @@ def what_is_erased(
 
 def _similarities(described: Described, region: Split, transform: Any, seed: int) -> dict[str, np.ndarray]:
     """Cosines of random pairs of each kind."""
-    found = suppressed.evaluation_region(described, region)
+    found = fitted.evaluation_region(described, region)
     queries, database, places = found.queries, found.database, (found.query_positions, found.database_positions)
     n_queries, n_database, threshold = len(queries), len(database), found.threshold
     if transform is not None:

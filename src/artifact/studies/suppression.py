@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from artifact import datasets as data
-from artifact import paper, suppressed
-from artifact.extraction.described import Described, describe
+from artifact.extraction.described import Described
 from artifact.manifest import Manifest
-from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
-from artifact.pipeline import Measured
 from artifact.ranking.one_pass import ORIGINAL
+from artifact.studies import fitted
 from artifact.studies.common import PERCENT, Study, origin
-from artifact.suppressed import LOW_RANK, METHODS
-
-WITHIN_PP = 1.0
-"""Difference that Tables IV and V count as equal, in percentage points."""
+from artifact.studies.evaluated import Measured
+from artifact.studies.fitted import METHODS
 
 
 def suppression_table(
@@ -46,7 +40,7 @@ def suppression_table(
     for name in names:
         title = data.entry_of(manifest, name).title
         for method in methods:
-            result = suppressed.compare(manifest, name, method, fraction=fraction, iterations=iterations, seed=seed)
+            result = fitted.compare(manifest, name, method, fraction=fraction, iterations=iterations, seed=seed)
             before = result.evaluations[ORIGINAL]
             for suppressor, after in result.evaluations.items():
                 rows.append(
@@ -126,9 +120,7 @@ def fitting_fraction(
     for name in names:
         title = data.entry_of(manifest, name).title
         for method in methods:
-            found, described = suppressed.by_fraction(
-                manifest, name, method, positive, iterations=iterations, seed=seed
-            )
+            found, described = fitted.by_fraction(manifest, name, method, positive, iterations=iterations, seed=seed)
             before = found[ORIGINAL, 0.0]
             for suppressor in METHODS:
                 for fraction in (0.0, *positive):
@@ -160,169 +152,6 @@ def mean_by_fraction(table: pd.DataFrame) -> pd.DataFrame:
     whole = table[pairs == wanted]
     means = whole.groupby(["suppression", "fraction"], sort=False)[["change_DAR", "change_R"]]
     return means.mean().assign(pairs=means.size()).reset_index()
-
-
-FITTING_ORDER = ("nordland", "amstertime", "gardens_point", "svox", "robotcar", "st_lucia")
-"""Order in which the paper fits and composes the transforms of its datasets."""
-
-
-def order_of_fitting(manifest: Manifest, names: Iterable[str]) -> list[str]:
-    """Put datasets into the paper's order of fitting, by the dataset that each is or mirrors; others come last."""
-    reported = {title.replace("StLuciaMToD", "St Lucia"): name for name, title in paper.dataset_titles().items()}
-
-    def place(name: str) -> int:
-        entry = data.entry_of(manifest, name)
-        standing_for = entry.reported_as or reported.get(entry.mirrors or "")
-        return FITTING_ORDER.index(standing_for) if standing_for in FITTING_ORDER else len(FITTING_ORDER)
-
-    return sorted(names, key=place)
-
-
-def single_against_multi(
-    manifest: Manifest,
-    names: Sequence[str],
-    methods: Iterable[str],
-    *,
-    fraction: float = 0.1,
-    iterations: int = 35,
-    k: int = 1,
-    seed: int = 0,
-) -> Study:
-    """Table IV: one transform per dataset against the composition of all of them.
-
-    Returns
-    -------
-    Study
-        One row per suppression method, dataset and method: ``suppression``, ``dataset``, ``title``, ``method``,
-        ``single_R``, ``single_DAR``, ``multi_R``, ``multi_DAR`` in percent, and ``difference_R``, ``difference_DAR``
-        (single minus multi) in percentage points.
-    """
-    rows, inputs = [], []
-    for method in methods:
-        for suppressor in LOW_RANK:
-            erasure, described = suppressed.sequential(
-                manifest, names, method, suppressor, fraction=fraction, iterations=iterations, seed=seed
-            )
-            for name, one in described.items():
-                region = suppressed.split_of(one, fraction)
-                views = {"single": erasure.single[name], "multi": erasure.composed}
-                found = suppressed.evaluate_region(one, region, views, seed=seed)
-                row: dict[str, Any] = {
-                    "suppression": suppressor,
-                    "dataset": name,
-                    "title": one.dataset.title,
-                    "method": method,
-                }
-                for view in views:
-                    row |= {f"{view}_R": PERCENT * found[view].recall(k), f"{view}_DAR": PERCENT * found[view].dar(k)}
-                row["queries"] = found["single"].n_queries
-                row |= {
-                    f"difference_{metric}": row[f"single_{metric}"] - row[f"multi_{metric}"] for metric in ("R", "DAR")
-                }
-                rows.append(row)
-                inputs += one.inputs
-    return Study(pd.DataFrame(rows), tuple(inputs))
-
-
-def irrelevant_conditions(
-    manifest: Manifest,
-    names: Sequence[str],
-    methods: Iterable[str],
-    *,
-    fraction: float = 0.1,
-    iterations: int = 35,
-    k: int = 1,
-    seed: int = 0,
-) -> Study:
-    """Table V: the composed transform on condition pairs that it was not fitted on.
-
-    The pairs are the ``irrelevant_pairs`` of the datasets in the manifest. Queries and database images of the fitting
-    region stay out.
-
-    Returns
-    -------
-    Study
-        One row per suppression method, pair and method: ``suppression``, ``pair`` (conditions), ``dataset``,
-        ``method``, ``original_R``, ``original_DAR``, ``erased_R``, ``erased_DAR`` in percent, ``difference_R`` and
-        ``difference_DAR`` (original minus erased) in percentage points.
-    """
-    rows, inputs = [], []
-    for method in methods:
-        erasures = {
-            suppressor: suppressed.sequential(
-                manifest, names, method, suppressor, fraction=fraction, iterations=iterations, seed=seed
-            )[0].composed
-            for suppressor in LOW_RANK
-        }
-        for name in names:
-            entry = data.entry_of(manifest, name)
-            for query, database in entry.irrelevant_pairs:
-                described = describe(manifest, name, method, [query, database])
-                result = _evaluate_pair(described, query, database, fraction, erasures, seed)
-                conditions = [entry.traversals[traversal].condition for traversal in (query, database)]
-                pair = "–".join(conditions) if len(set(conditions)) > 1 else f"{query}–{database}"
-                for suppressor in LOW_RANK:
-                    before, after = result, result[suppressor]
-                    row: dict[str, Any] = {
-                        "suppression": suppressor,
-                        "pair": pair,
-                        "dataset": name,
-                        "title": entry.title,
-                        "method": method,
-                        "queries": before.n_queries,
-                    }
-                    row |= {"original_R": PERCENT * before.recall(k), "original_DAR": PERCENT * before.dar(k)}
-                    row |= {"erased_R": PERCENT * after.recall(k), "erased_DAR": PERCENT * after.dar(k)}
-                    row |= {f"difference_{m}": row[f"original_{m}"] - row[f"erased_{m}"] for m in ("R", "DAR")}
-                    rows.append(row)
-                inputs += described.inputs
-    return Study(pd.DataFrame(rows), tuple(inputs))
-
-
-def _evaluate_pair(
-    described: Described, query: str, database: str, fraction: float, views: dict[str, Any], seed: int
-) -> Evaluation:  # fmt: skip
-    """Evaluate another pair of traversals of a dataset outside the dataset's own fitting region."""
-    from artifact.suppression.regions import split
-
-    traversals = described.dataset.traversals
-    places = traversals[query].positions, traversals[database].positions
-    region = split(*places, described.dataset.threshold, fraction)
-    return evaluate(
-        described.descriptors[query].values[region.evaluation_queries],
-        described.descriptors[database].values[region.evaluation_database],
-        places[0][region.evaluation_queries], places[1][region.evaluation_database], described.dataset.threshold,
-        views=views, seed=seed,
-    )  # fmt: skip
-
-
-def summary(table: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
-    """Summarise differences as Tables IV and V do: mean ± standard deviation, and the number within 1 pp.
-
-    Parameters
-    ----------
-    table
-        As from :func:`single_against_multi` or :func:`irrelevant_conditions`.
-    by
-        Columns to group by.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row per group: ``by``, ``pairs``, and for DAR and R ``mean``, ``std`` (population) and ``within`` columns.
-    """
-    rows = []
-    for keys, part in table.groupby(list(by), sort=False):
-        row = dict(zip(by, keys, strict=True)) | {"pairs": len(part)}
-        for metric in ("DAR", "R"):
-            values = part[f"difference_{metric}"]
-            row |= {
-                f"mean_{metric}": values.mean(),
-                f"std_{metric}": values.std(ddof=0),
-                f"within_{metric}": int((np.abs(values) <= WITHIN_PP + 1e-9).sum()),
-            }
-        rows.append(row)
-    return pd.DataFrame(rows)
 
 
 def _measured(described: Described, evaluation: Evaluation) -> Measured:

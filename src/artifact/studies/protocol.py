@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 from artifact import datasets as data
-from artifact import pipeline
 from artifact.manifest import Manifest
-from artifact.studies import PERCENT, Study
+from artifact.studies import evaluated
+from artifact.studies.common import PERCENT, Study
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def sensitivity(
     rows, inputs = [], []
     for name in names:
         for method in methods:
-            measured = pipeline.evaluation(manifest, name, method, seed=seed)
+            measured = evaluated.evaluation(manifest, name, method, seed=seed)
             result = measured.evaluation
             recall, dar = result.recall(k), result.dar(k)
             kept = result.n_queries / (result.n_queries + result.excluded_queries)

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from artifact import datasets as data
-from artifact import store, suppressed, suppression
+from artifact import store, suppression
 from artifact.datasets.appearance import STATISTICS, appearance
 from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
@@ -26,10 +26,11 @@ from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.statistics import block_length, resamples
 from artifact.metrics.stored import stored
-from artifact.pipeline import Measured
 from artifact.ranking import one_pass
 from artifact.ranking.one_pass import ORIGINAL
+from artifact.studies import fitted
 from artifact.studies.common import PERCENT, Study, origin
+from artifact.studies.evaluated import Measured
 from artifact.suppression.inlp import INLP
 from artifact.suppression.leace import LEACE
 from artifact.suppression.regions import Split
@@ -77,7 +78,7 @@ def within_session(
     for name in names:
         for method in methods:
             described = describe(manifest, name, method)
-            region = suppressed.split_of(described, fraction)
+            region = fitted.split_of(described, fraction)
             measures = appearance(described.dataset.query, store.cache_folder(manifest.path.parent))
             for statistic in statistics:
                 values = measures[:, STATISTICS.index(statistic)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +10,6 @@ import numpy as np
 import pandas as pd
 
 from artifact import datasets as data
-from artifact import store, suppressed
 from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError
@@ -19,6 +17,8 @@ from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.stored import stored
 from artifact.ranking.one_pass import ORIGINAL
+from artifact.studies import fitted
+from artifact.studies.fitted import key_of
 from artifact.suppression.inlp import INLP
 from artifact.suppression.lowrank import LowRankMap
 
@@ -64,7 +64,7 @@ def mixed_database(
     described, added = _with_added(manifest, dataset, method, share, seed)
     loaded = described.dataset
     everything = np.arange(len(loaded.query)), np.arange(len(loaded.database))
-    key = _key("mixed", described, [share, seed])
+    key = key_of("mixed", [described], [share, seed])
 
     def compute() -> dict[str, Any]:
         alone = _retrieve(described, *everything, added[:0])
@@ -86,15 +86,15 @@ def mixed_database_suppressed(
 ) -> MixedDatabase:
     """Fig. 9: the mixed database before and after INLP, fitted on a slice from the edge of the map."""
     described, added = _with_added(manifest, dataset, method, share, seed)
-    region = suppressed.split_of(described, fraction, where="edge")
+    region = fitted.split_of(described, fraction, where="edge")
     places = described.dataset.traversals[_same_condition(manifest, dataset)].positions[added]
-    fitted = described.dataset.query.positions[region.fit_queries]
-    apart = np.linalg.norm(places[:, None] - fitted[None], axis=2).min(axis=1) > described.dataset.threshold
+    fitting_places = described.dataset.query.positions[region.fit_queries]
+    apart = np.linalg.norm(places[:, None] - fitting_places[None], axis=2).min(axis=1) > described.dataset.threshold
     rows = region.evaluation_queries, region.evaluation_database
-    key = _key("mixed suppressed", described, [share, fraction, iterations, seed])
+    key = key_of("mixed suppressed", [described], [share, fraction, iterations, seed])
 
     def compute() -> dict[str, Any]:
-        inlp = INLP(iterations, seed=seed).fit(*suppressed.fitting_data(described, region))
+        inlp = INLP(iterations, seed=seed).fit(*fitted.fitting_data(described, region))
         return {"views": _retrieve(described, *rows, added[apart], {"INLP": LowRankMap(*inlp.low_rank())})}
 
     found = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "mixed database"})["views"]
@@ -135,52 +135,6 @@ def _retrieve(
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Embedding:
-    """Two-dimensional embeddings of query and database descriptors, before and after suppression.
-
-    Attributes
-    ----------
-    before, after
-        ``(n, 2)`` coordinates, queries first.
-    n_queries
-        How many of the rows are queries.
-    partners
-        ``(m, 2)`` rows of geometrical mutual nearest neighbours: query row, database row.
-    described
-        What was embedded.
-    """
-
-    before: np.ndarray
-    after: np.ndarray
-    n_queries: int
-    partners: np.ndarray
-    described: Described
-
-
-def embedding(
-    manifest: Manifest, dataset: str, method: str, *, fraction: float = 0.1, iterations: int = 35, seed: int = 0
-) -> Embedding:
-    """Fig. 3: UMAP of the evaluation region's descriptors before and after INLP."""
-    described = describe(manifest, dataset, method)
-    region = suppressed.split_of(described, fraction)
-    loaded = described.dataset
-    places = loaded.query.positions[region.evaluation_queries], loaded.database.positions[region.evaluation_database]
-    key = _key("umap", described, [fraction, iterations, seed])
-
-    def compute() -> dict[str, Any]:
-        inlp = INLP(iterations, seed=seed).fit(*suppressed.fitting_data(described, region))
-        queries = described.query.values[region.evaluation_queries]
-        database = described.database.values[region.evaluation_database]
-        rows = np.concatenate([queries, database])
-        return {"before": _umap(rows, seed), "after": _umap(inlp.transform(rows), seed)}
-
-    found = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "umap"})
-    partners = mutual_neighbours(*places)
-    partners[:, 1] += len(region.evaluation_queries)
-    return Embedding(found["before"], found["after"], len(region.evaluation_queries), partners, described)
-
-
 def mixed_table(found: Mapping[str, MixedDatabase]) -> pd.DataFrame:
     """Return one row per method, evaluation and query: where it is, what it retrieves, and whether that is right.
 
@@ -202,65 +156,3 @@ def mixed_table(found: Mapping[str, MixedDatabase]) -> pd.DataFrame:
                 )
             )
     return pd.concat(frames, ignore_index=True)
-
-
-def embedding_table(one: Embedding) -> pd.DataFrame:
-    """Return one row per point: ``condition`` (query or database), and its place before and after."""
-    condition = np.where(np.arange(len(one.before)) < one.n_queries, "query", "database")
-    columns = {
-        "before_x": one.before[:, 0],
-        "before_y": one.before[:, 1],
-        "after_x": one.after[:, 0],
-        "after_y": one.after[:, 1],
-    }
-    return pd.DataFrame({"condition": condition, **columns})
-
-
-def nearest_share(points: np.ndarray, one: Embedding) -> float:
-    """Return the share of points whose nearest neighbour in the plane has the other condition."""
-    from scipy.spatial import cKDTree
-
-    nearest = cKDTree(points).query(points, 2)[1][:, 1]
-    is_query = np.arange(len(points)) < one.n_queries
-    return float((is_query != is_query[nearest]).mean())
-
-
-def mutual_neighbours(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the pairs of rows that are each other's nearest neighbour, ``(m, 2)``.
-
-    Examples
-    --------
-    >>> mutual_neighbours(np.array([[0.0], [7.0]]), np.array([[1.0], [9.0]])).tolist()
-    [[0, 0], [1, 1]]
-    """
-    from scipy.spatial import cKDTree
-
-    there = cKDTree(second).query(first)[1]
-    back = cKDTree(first).query(second)[1]
-    rows = np.arange(len(first))
-    mutual = back[there] == rows
-    return np.column_stack([rows[mutual], there[mutual]])
-
-
-def _umap(rows: np.ndarray, seed: int) -> np.ndarray:
-    with warnings.catch_warnings():
-        # It warns about optional parts that are not used here: progress bars for notebooks, a neural variant.
-        warnings.simplefilter("ignore")
-        import umap
-
-    neighbours = min(15, len(rows) - 1)
-    # A fixed seed makes UMAP run in one thread; asking for one thread says so without a warning.
-    model = umap.UMAP(metric="cosine", n_neighbors=neighbours, random_state=seed, n_jobs=1)
-    return model.fit_transform(rows.astype(np.float32))
-
-
-def _key(stage: str, described: Described, settings: list[Any]) -> str:
-    from artifact import suppression
-    from artifact.ranking import one_pass
-
-    return store.key(
-        stage=stage,
-        revisions=[one_pass.REVISION, suppression.REVISION],
-        inputs=described.key_inputs(),
-        settings=settings,
-    )

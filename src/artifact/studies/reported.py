@@ -46,7 +46,7 @@ CLOSE_PP = 1.0
 """Largest difference in percentage points that still counts as close: the paper's own margin in Tables IV and V."""
 
 
-def reported(name: str) -> pd.DataFrame:
+def table(name: str) -> pd.DataFrame:
     """Return one table or curve of the paper as a tidy frame.
 
     Parameters
@@ -61,29 +61,29 @@ def reported(name: str) -> pd.DataFrame:
 
     Examples
     --------
-    >>> reported("fig02").query("method == 'anyloc'")["recall_percent"].tolist()
+    >>> table("fig02").query("method == 'anyloc'")["recall_percent"].tolist()
     [95.9, 80.5]
     """
     if name not in TABLES:
         raise KeyError(f"the paper reports nothing under {name!r}; allowed: {', '.join(TABLES)}")
-    with (files("artifact") / "reported" / TABLES[name]).open(encoding="utf-8") as stream:
+    with (files("artifact.studies") / "paper" / TABLES[name]).open(encoding="utf-8") as stream:
         return pd.read_csv(stream, keep_default_na=False, na_values=[""])
 
 
 def method_titles() -> dict[str, str]:
     """Return the printed title of each of the paper's methods, in the order of its tables."""
-    return dict(zip(*(reported("tab02")[column] for column in ("method", "title")), strict=True))
+    return dict(zip(*(table("tab02")[column] for column in ("method", "title")), strict=True))
 
 
 def dataset_titles() -> dict[str, str]:
     """Return the printed title of each of the paper's datasets, in the order of its tables."""
-    return dict(zip(*(reported("tab01")[column] for column in ("dataset", "title")), strict=True))
+    return dict(zip(*(table("tab01")[column] for column in ("dataset", "title")), strict=True))
 
 
 def recall_table() -> pd.DataFrame:
     """Return Table III as one row per dataset and method with ``R@1``, ``DAR@1``, ``RSR@1`` in percent."""
-    table = reported("tab03").pivot(index=["dataset", "method"], columns="metric", values="percent")
-    return table[["R@1", "DAR@1", "RSR@1"]].reset_index().rename_axis(columns=None)
+    wide = table("tab03").pivot(index=["dataset", "method"], columns="metric", values="percent")
+    return wide[["R@1", "DAR@1", "RSR@1"]].reset_index().rename_axis(columns=None)
 
 
 def verdict(measured_percent: float, reported_percent: float | None, n_queries: int | None = None) -> Verdict:
