@@ -31,8 +31,9 @@ places = 5  # places shown per pair
 # %% tags=["hide-input"]
 from IPython.display import Markdown, display
 
-from artifact import galleries, report
-from artifact.notebook import open_page
+from artifact import pages
+from artifact.pages import galleries
+from artifact.pages.scope import open_page
 
 page = open_page(profile, datasets)
 rendered = page.rendered()
@@ -53,4 +54,4 @@ if not rendered:
     display(Markdown("This profile has no rendered dataset."))
 
 # %% tags=["remove-input"]
-report.provenance({"profile": profile, "datasets": rendered, "places": places})
+pages.provenance.provenance({"profile": profile, "datasets": rendered, "places": places})

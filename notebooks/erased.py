@@ -27,8 +27,9 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import Markdown, display
 
-from artifact import figures, galleries, report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages import galleries
+from artifact.pages.scope import open_page
 
 page = open_page(profile)
 chosen, described = page.choose(dataset, prefer="real"), method or page.methods[-1]
@@ -38,8 +39,8 @@ erased = studies.erased.what_is_erased(
 page = page.only(chosen, described)
 
 # %% tags=["remove-input"]
-display(report.label(page.label))
-report.erased_table(erased)
+display(pages.common.label(page.label))
+pages.erased.erased_table(erased)
 
 # %% [markdown]
 # ## Similarities
@@ -47,10 +48,10 @@ report.erased_table(erased)
 # A distractor wins when a blue pair is more similar than the query's green pairs. Dotted lines are medians.
 
 # %% tags=["remove-input", "full-width"]
-figures.similarities(erased.similarities, ["original", "LEACE", "INLP"])
+pages.erased.similarities(erased.similarities, ["original", "LEACE", "INLP"])
 
 # %% tags=["remove-input"]
-Markdown(report.erased_similarities(erased))
+Markdown(pages.erased.erased_similarities(erased))
 
 # %% [markdown]
 # ## Iteration by iteration
@@ -59,7 +60,7 @@ Markdown(report.erased_similarities(erased))
 # next iteration fits: at 50 % it finds nothing more to remove.
 
 # %% tags=["remove-input"]
-figures.iterations(erased.iterations)
+pages.erased.iterations(erased.iterations)
 
 # %% [markdown]
 # ## Distractors that stop winning
@@ -75,8 +76,8 @@ display(
 galleries.recovered_strips(erased, "LEACE")
 
 # %% tags=["remove-input"]
-display(report.download(erased.iterations, "erased_iterations"))
-report.provenance(
+display(pages.common.download(erased.iterations, "erased_iterations"))
+pages.provenance.provenance(
     {
         "profile": profile,
         "dataset": chosen,

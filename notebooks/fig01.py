@@ -26,8 +26,9 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import Markdown, display
 
-from artifact import galleries, report
-from artifact.notebook import open_page
+from artifact import pages
+from artifact.pages import galleries
+from artifact.pages.scope import open_page
 from artifact.studies import evaluated
 
 page = open_page(profile)
@@ -39,7 +40,7 @@ taken = int((result.hits(1, distractors=False) & ~result.hits(1, distractors=Tru
 
 # %% tags=["remove-input"]
 page = page.only(chosen, described)
-display(report.label(page.label))
+display(pages.common.label(page.label))
 galleries.distractor_story(measured)
 
 # %% tags=["remove-input"]
@@ -57,4 +58,4 @@ galleries.retrieval_strips(measured, n=4)
 # [Fig. 4](fig04.ipynb) turns it into a measure, [Table III](tab03.ipynb) measures it.
 
 # %% tags=["remove-input"]
-report.provenance({"profile": profile, "dataset": chosen, "method": described, "seed": seed}, measured)
+pages.provenance.provenance({"profile": profile, "dataset": chosen, "method": described, "seed": seed}, measured)

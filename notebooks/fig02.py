@@ -27,8 +27,8 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import figures, findings, report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages.scope import open_page
 
 page = open_page(profile, None, methods)
 chosen = page.choose(dataset, same_condition_traversal=True)
@@ -39,10 +39,10 @@ found = {
 
 # %% tags=["remove-input", "full-width"]
 page = page.only(chosen)
-display(report.finding(findings.few_images_lower_recall(found, page.method_titles)))
-display(report.label(page.label))
+display(pages.common.finding(pages.mixed_database.few_images_lower_recall(found, page.method_titles)))
+display(pages.common.label(page.label))
 panels = {"single": "single-condition database", "mixed": "mixed-condition database"}
-figures.mixed_database(found, panels, page.mixed_conditions(chosen), page.method_titles)
+pages.mixed_database.mixed_database(found, panels, page.mixed_conditions(chosen), page.method_titles)
 
 # %% [markdown]
 # ## Beside the paper's Fig. 2
@@ -50,12 +50,12 @@ figures.mixed_database(found, panels, page.mixed_conditions(chosen), page.method
 # The paper draws AnyLoc and EigenPlaces on RobotCar. Which frames are added matters: they are drawn at random by the seed.
 
 # %% tags=["remove-input"]
-table = report.mixed_table(found, panels, page.method_titles)
+table = pages.mixed_database.mixed_table(found, panels, page.method_titles)
 display(table)
-display(report.reported_mixed_table("fig02"))
+display(pages.mixed_database.reported_mixed_table("fig02"))
 
 # %% tags=["remove-input"]
-display(report.download(studies.mixed_database.mixed_table(found), "fig02_mixed_database"))
-report.provenance(
+display(pages.common.download(studies.mixed_database.mixed_table(found), "fig02_mixed_database"))
+pages.provenance.provenance(
     {"profile": profile, "dataset": chosen, "methods": page.methods, "share": share, "seed": seed}, *found.values()
 )

@@ -28,8 +28,8 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import Markdown, display
 
-from artifact import figures, report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages.scope import open_page
 
 page = open_page(profile)
 chosen, described = page.choose(dataset, prefer="metres"), method or page.methods[-1]
@@ -37,8 +37,8 @@ one = studies.embedding.embedding(page.manifest, chosen, described, fraction=fra
 
 # %% tags=["remove-input", "full-width"]
 page = page.only(chosen, described)
-display(report.label(page.label))
-figures.embeddings({described: one}, page.conditions(chosen), page.method_titles)
+display(pages.common.label(page.label))
+pages.embedding.embeddings({described: one}, page.conditions(chosen), page.method_titles)
 
 # %% [markdown]
 # ## How mixed the clouds are
@@ -54,8 +54,8 @@ Markdown(
 )
 
 # %% tags=["remove-input"]
-display(report.download(studies.embedding.embedding_table(one), "fig03_umap"))
-report.provenance(
+display(pages.common.download(studies.embedding.embedding_table(one), "fig03_umap"))
+pages.provenance.provenance(
     {
         "profile": profile,
         "dataset": chosen,

@@ -22,11 +22,11 @@
 # This page has no parameters.
 
 # %% tags=["hide-input"]
-from artifact import figures
-from artifact.plotting import use_style
+from artifact import pages
+from artifact.pages.style import use_style
 
 use_style()
-figures.retrieval_diagram()
+pages.diagram.retrieval_diagram()
 
 # %% [markdown]
 # ## Definitions

@@ -26,16 +26,16 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import figures, findings, report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages.scope import open_page
 
 page = open_page(profile, datasets, methods)
 study = studies.recall.recall_table(page.manifest, page.datasets, page.methods, k=k, seed=seed)
 
 # %% tags=["remove-input"]
-display(report.finding(findings.similar_recall_hides_differences(study.table, page.method_titles, k)))
-display(report.label(page.label))
-figures.scatter(study.table, page.method_titles, k=k)
+display(pages.common.finding(pages.recall.similar_recall_hides_differences(study.table, page.method_titles, k)))
+display(pages.common.label(page.label))
+pages.recall.scatter(study.table, page.method_titles, k=k)
 
 # %% [markdown]
 # ## The paper's Fig. 5
@@ -43,8 +43,10 @@ figures.scatter(study.table, page.method_titles, k=k)
 # Drawn from the values that the paper plots, for its eleven methods and six datasets. Not measured here.
 
 # %% tags=["remove-input"]
-figures.reported_scatter()
+pages.recall.reported_scatter()
 
 # %% tags=["remove-input"]
-display(report.download(study.table, "fig05_scatter"))
-report.provenance({"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study)
+display(pages.common.download(study.table, "fig05_scatter"))
+pages.provenance.provenance(
+    {"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study
+)

@@ -28,8 +28,8 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import figures, findings, report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages.scope import open_page
 
 page = open_page(profile, None, methods)
 chosen = page.choose(dataset, unit="metres")
@@ -40,13 +40,13 @@ distance = studies.distractors.distractor_distance(
 
 # %% tags=["remove-input"]
 display(
-    report.finding(
-        findings.few_distractors_suffice(number.table, page.method_titles, k),
-        findings.near_distractors_hurt_most(distance.table, page.method_titles, "metres", k),
+    pages.common.finding(
+        pages.distractors.few_distractors_suffice(number.table, page.method_titles, k),
+        pages.distractors.near_distractors_hurt_most(distance.table, page.method_titles, "metres", k),
     )
 )
-display(report.label(page.only(chosen).label))
-figures.number_and_distance(number.table, distance.table, page.method_titles, k=k)
+display(pages.common.label(page.only(chosen).label))
+pages.distractors.number_and_distance(number.table, distance.table, page.method_titles, k=k)
 
 # %% [markdown]
 # In (a) the line is the exact expectation over all random subsets of the pool; the band spans ten nested random
@@ -57,12 +57,12 @@ figures.number_and_distance(number.table, distance.table, page.method_titles, k=
 # Drawn from the values that the paper plots for RobotCar. Not measured here.
 
 # %% tags=["remove-input"]
-figures.reported_number_and_distance()
+pages.distractors.reported_number_and_distance()
 
 # %% tags=["remove-input"]
-display(report.download(number.table, "fig06a_number"))
-display(report.download(distance.table, "fig06b_distance"))
-report.provenance(
+display(pages.common.download(number.table, "fig06a_number"))
+display(pages.common.download(distance.table, "fig06b_distance"))
+pages.provenance.provenance(
     {"profile": profile, "dataset": chosen, "methods": page.methods, "ratios": ratios, "distances": distances, "k": k, "seed": seed},
     number, distance,
 )  # fmt: skip

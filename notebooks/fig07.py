@@ -26,8 +26,8 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import figures, findings, report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages.scope import open_page
 
 page = open_page(profile, None, methods)
 chosen = page.choose(dataset, distractor_traversals=True)
@@ -35,10 +35,10 @@ study = studies.distractors.distractor_condition(page.manifest, chosen, page.met
 conditions = page.conditions(chosen)
 
 # %% tags=["remove-input"]
-claims = [findings.own_condition_hurts_most, findings.database_condition_hurts_little]
-display(report.finding(*(claim(study.table, page.method_titles, *conditions, k) for claim in claims)))
-display(report.label(page.only(chosen).label))
-figures.condition(study.table, page.method_titles, query_condition=conditions[0], k=k)
+claims = [pages.distractors.own_condition_hurts_most, pages.distractors.database_condition_hurts_little]
+display(pages.common.finding(*(claim(study.table, page.method_titles, *conditions, k) for claim in claims)))
+display(pages.common.label(page.only(chosen).label))
+pages.distractors.condition(study.table, page.method_titles, query_condition=conditions[0], k=k)
 
 # %% [markdown]
 # ## The paper's Fig. 7
@@ -46,8 +46,10 @@ figures.condition(study.table, page.method_titles, query_condition=conditions[0]
 # Drawn from the values that the paper plots for RobotCar. Not measured here.
 
 # %% tags=["remove-input"]
-figures.reported_condition()
+pages.distractors.reported_condition()
 
 # %% tags=["remove-input"]
-display(report.download(study.table, "fig07_condition"))
-report.provenance({"profile": profile, "dataset": chosen, "methods": page.methods, "k": k, "seed": seed}, study)
+display(pages.common.download(study.table, "fig07_condition"))
+pages.provenance.provenance(
+    {"profile": profile, "dataset": chosen, "methods": page.methods, "k": k, "seed": seed}, study
+)

@@ -29,8 +29,8 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import figures, findings, report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages.scope import open_page
 
 page = open_page(profile, datasets, methods)
 study = studies.suppression.suppression_table(
@@ -39,14 +39,14 @@ study = studies.suppression.suppression_table(
 
 # %% tags=["remove-input", "full-width"]
 display(
-    report.finding(
-        findings.labels_less_accessible(study.table),
-        findings.suppression_raises_dar(study.table, page.method_titles, k),
-        findings.suppression_keeps_recall(study.table, page.method_titles, k),
+    pages.common.finding(
+        pages.suppression.labels_less_accessible(study.table),
+        pages.suppression.suppression_raises_dar(study.table, page.method_titles, k),
+        pages.suppression.suppression_keeps_recall(study.table, page.method_titles, k),
     )
 )
-display(report.label(page.label))
-figures.heat_maps(study.table, page.method_titles, k=k)
+display(pages.common.label(page.label))
+pages.suppression.heat_maps(study.table, page.method_titles, k=k)
 
 # %% [markdown]
 # Blue is better in all panels. With a handful of images per region (see the table) STD estimates a mean and a deviation for
@@ -55,17 +55,17 @@ figures.heat_maps(study.table, page.method_titles, k=k)
 # ## Pairs that improve
 
 # %% tags=["remove-input"]
-report.improved_table(study.table, k=k)
+pages.suppression.improved_table(study.table, k=k)
 
 # %% [markdown]
 # ## All values
 
 # %% tags=["remove-input", "full-width"]
-report.suppression_table(study.table, page.method_titles, k=k)
+pages.suppression.suppression_table(study.table, page.method_titles, k=k)
 
 # %% tags=["remove-input"]
-display(report.download(study.table, "fig08_suppression"))
-report.provenance(
+display(pages.common.download(study.table, "fig08_suppression"))
+pages.provenance.provenance(
     {
         "profile": profile,
         "datasets": page.datasets,

@@ -29,8 +29,8 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import figures, findings, report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages.scope import open_page
 
 page = open_page(profile, None, methods)
 chosen = page.choose(dataset, same_condition_traversal=True)
@@ -43,21 +43,21 @@ found = {
 
 # %% tags=["remove-input", "full-width"]
 page = page.only(chosen)
-display(report.finding(findings.suppression_helps_mixed_database(found, page.method_titles)))
-display(report.label(page.label))
+display(pages.common.finding(pages.mixed_database.suppression_helps_mixed_database(found, page.method_titles)))
+display(pages.common.label(page.label))
 panels = {"original": "original", "INLP": "suppressed with INLP"}
-figures.mixed_database(found, panels, page.mixed_conditions(chosen), page.method_titles)
+pages.mixed_database.mixed_database(found, panels, page.mixed_conditions(chosen), page.method_titles)
 
 # %% [markdown]
 # ## Beside the paper's Fig. 9
 
 # %% tags=["remove-input"]
-display(report.mixed_table(found, panels, page.method_titles))
-display(report.reported_mixed_table("fig09"))
+display(pages.mixed_database.mixed_table(found, panels, page.method_titles))
+display(pages.mixed_database.reported_mixed_table("fig09"))
 
 # %% tags=["remove-input"]
-display(report.download(studies.mixed_database.mixed_table(found), "fig09_mixed_database"))
-report.provenance(
+display(pages.common.download(studies.mixed_database.mixed_table(found), "fig09_mixed_database"))
+pages.provenance.provenance(
     {
         "profile": profile,
         "dataset": chosen,

@@ -28,8 +28,8 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import Markdown, display
 
-from artifact import figures, findings, report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages.scope import open_page
 
 page = open_page(profile, datasets, methods)
 study = studies.suppression.fitting_fraction(
@@ -38,9 +38,9 @@ study = studies.suppression.fitting_fraction(
 means = studies.suppression.mean_by_fraction(study.table)
 
 # %% tags=["remove-input"]
-display(report.finding(findings.a_tenth_suffices(means, k)))
-display(report.label(page.label))
-display(figures.fraction_curves(means, k=k))
+display(pages.common.finding(pages.suppression.a_tenth_suffices(means, k)))
+display(pages.common.label(page.label))
+display(pages.suppression.fraction_curves(means, k=k))
 Markdown(f"Mean over {means['pairs'].min()} method–dataset pairs.")
 
 # %% [markdown]
@@ -49,11 +49,11 @@ Markdown(f"Mean over {means['pairs'].min()} method–dataset pairs.")
 # Drawn from the values that the paper plots, means over 54 pairs. Not measured here.
 
 # %% tags=["remove-input"]
-figures.reported_fraction_curves()
+pages.suppression.reported_fraction_curves()
 
 # %% tags=["remove-input"]
-display(report.download(study.table, "fig10_fitting_fraction"))
-report.provenance(
+display(pages.common.download(study.table, "fig10_fitting_fraction"))
+pages.provenance.provenance(
     {
         "profile": profile,
         "datasets": page.datasets,

@@ -30,15 +30,15 @@ profile = "demo"
 # %% tags=["hide-input"]
 from IPython.display import Markdown, display
 
-from artifact import report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages.scope import open_page
 
 page = open_page(profile)
 catalogue = studies.catalogue.methods_of_the_paper(page.manifest)
 parity = studies.catalogue.parity_table(page.manifest)
 
 # %% tags=["remove-input", "full-width"]
-report.parity_table(parity)
+pages.catalogue.parity_table(parity)
 
 # %% [markdown]
 # SALAD-CM has SALAD's architecture and is compared with the same values. AnyLoc is compared at 112 × 112 pixels: its ViT-g has
@@ -47,12 +47,12 @@ report.parity_table(parity)
 # ## Weights on this machine
 
 # %% tags=["remove-input", "full-width"]
-report.catalogue_table(catalogue)
+pages.catalogue.catalogue_table(catalogue)
 
 # %% tags=["remove-input"]
-Markdown(report.how_to_get(catalogue))
+Markdown(pages.catalogue.how_to_get(catalogue))
 
 # %% tags=["remove-input"]
-display(report.download(parity, "methods_parity"))
-display(report.download(catalogue.drop(columns="how"), "methods_catalogue"))
-report.provenance({"profile": profile})
+display(pages.common.download(parity, "methods_parity"))
+display(pages.common.download(catalogue.drop(columns="how"), "methods_catalogue"))
+pages.provenance.provenance({"profile": profile})

@@ -32,21 +32,21 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import findings, report
-from artifact.notebook import open_page
+from artifact import pages
+from artifact.pages.scope import open_page
 
 page = open_page(profile, datasets, methods)
-collected = findings.collect(page.manifest, page.datasets, page.methods, seed=seed)
+collected = pages.opening.collect(page.manifest, page.datasets, page.methods, seed=seed)
 
 # %% tags=["remove-input"]
-display(report.scope_notice(page))
-display(report.headline(collected.recall, page.method_titles))
+display(pages.opening.scope_notice(page))
+display(pages.opening.headline(collected.recall, page.method_titles))
 
 # %% [markdown]
 # ## What was claimed, what was measured, and whether they agree
 
 # %% tags=["remove-input", "full-width"]
-report.findings_table(collected.findings)
+pages.common.findings_table(collected.findings)
 
 # %% [markdown]
 # *Agrees* means that the claim holds on the data and methods of this run, by the rule that the linked page states. It
@@ -68,6 +68,6 @@ report.findings_table(collected.findings)
 #   on which machine.
 
 # %% tags=["remove-input"]
-report.provenance(
+pages.provenance.provenance(
     {"profile": profile, "datasets": page.datasets, "methods": page.methods, "seed": seed}, *collected.studies
 )

@@ -26,12 +26,12 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import report
-from artifact.notebook import open_page
+from artifact import pages
+from artifact.pages.scope import open_page
 from artifact.studies import protocol
 
 page = open_page(profile, datasets, methods)
-report.protocol_table(protocol.DECISIONS)
+pages.protocol.protocol_table(protocol.DECISIONS)
 
 # %% [markdown]
 # ## What the open choices change
@@ -44,9 +44,11 @@ report.protocol_table(protocol.DECISIONS)
 
 # %% tags=["remove-input"]
 study = protocol.sensitivity(page.manifest, page.datasets, page.methods, k=k, seed=seed)
-display(report.label(page.label))
-report.sensitivity_table(study.table, page.method_titles, k=k)
+display(pages.common.label(page.label))
+pages.protocol.sensitivity_table(study.table, page.method_titles, k=k)
 
 # %% tags=["remove-input"]
-display(report.download(study.table, "protocol_sensitivity"))
-report.provenance({"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study)
+display(pages.common.download(study.table, "protocol_sensitivity"))
+pages.provenance.provenance(
+    {"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study
+)

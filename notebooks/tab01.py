@@ -23,14 +23,14 @@ datasets = None  # names from the manifest or folders; None takes all of the pro
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages.scope import open_page
 
 page = open_page(profile, datasets)
 study = studies.catalogue.datasets_table(page.manifest, page.datasets)
 
 # %% tags=["remove-input", "full-width"]
-report.datasets_table(study.table)
+pages.catalogue.datasets_table(study.table)
 
 # %% [markdown]
 # *#Query* counts the images of the query traversal; *evaluated* are those with at least one positive, the others leave
@@ -40,7 +40,7 @@ report.datasets_table(study.table)
 # ## The paper's Table I
 
 # %% tags=["remove-input"]
-report.reported_datasets_table()
+pages.catalogue.reported_datasets_table()
 
 # %% [markdown]
 # RobotCar lists 6,021 queries, but every percentage that the paper prints for it is a whole number of 5,987: 34
@@ -48,5 +48,5 @@ report.reported_datasets_table()
 # assert it for all 22 values of the scatter plot and all values of the sweeps.
 
 # %% tags=["remove-input"]
-display(report.download(study.table, "tab01_datasets"))
-report.provenance({"profile": profile, "datasets": page.datasets}, study)
+display(pages.common.download(study.table, "tab01_datasets"))
+pages.provenance.provenance({"profile": profile, "datasets": page.datasets}, study)

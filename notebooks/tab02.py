@@ -24,8 +24,8 @@ methods = None  # names from the manifest; None takes all of the profile
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages.scope import open_page
 
 page = open_page(profile, datasets, methods)
 study = studies.catalogue.methods_table(page.manifest, page.datasets, page.methods)
@@ -34,7 +34,7 @@ study = studies.catalogue.methods_table(page.manifest, page.datasets, page.metho
 # ## Methods of this run
 
 # %% tags=["remove-input", "full-width"]
-report.methods_table(study.table)
+pages.catalogue.methods_table(study.table)
 
 # %% [markdown]
 # *Images per second* is the model's own forward rate while extracting, *busy* the share of the extraction's wall time
@@ -46,8 +46,8 @@ report.methods_table(study.table)
 # weights and how to get them.
 
 # %% tags=["remove-input", "full-width"]
-report.reported_methods_table(page.manifest, studies.catalogue.methods_of_the_paper(page.manifest))
+pages.catalogue.reported_methods_table(page.manifest, studies.catalogue.methods_of_the_paper(page.manifest))
 
 # %% tags=["remove-input"]
-display(report.download(study.table, "tab02_methods"))
-report.provenance({"profile": profile, "datasets": page.datasets, "methods": page.methods}, study)
+display(pages.common.download(study.table, "tab02_methods"))
+pages.provenance.provenance({"profile": profile, "datasets": page.datasets, "methods": page.methods}, study)

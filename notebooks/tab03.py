@@ -26,20 +26,20 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import findings, report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages.scope import open_page
 
 page = open_page(profile, datasets, methods)
 study = studies.recall.recall_table(page.manifest, page.datasets, page.methods, k=k, seed=seed)
 
 # %% tags=["remove-input", "full-width"]
 display(
-    report.finding(
-        findings.distractors_lower_recall(study.table, page.method_titles, k),
-        findings.ranking_changes(study.table, page.method_titles, k),
+    pages.common.finding(
+        pages.recall.distractors_lower_recall(study.table, page.method_titles, k),
+        pages.recall.ranking_changes(study.table, page.method_titles, k),
     )
 )
-report.recall_table(study.table, page.method_titles, k=k, label=page.label)
+pages.recall.recall_table(study.table, page.method_titles, k=k, label=page.label)
 
 # %% [markdown]
 # <span class="legend-mark best">best</span> <span class="legend-mark second">second</span>
@@ -53,7 +53,7 @@ report.recall_table(study.table, page.method_titles, k=k, label=page.label)
 # reports the same dataset with the same method.
 
 # %% tags=["remove-input"]
-report.beside_reported(study.table, page.method_titles, k=k)
+pages.recall.beside_reported(study.table, page.method_titles, k=k)
 
 # %% [markdown]
 # ## The paper's Table III
@@ -61,8 +61,10 @@ report.beside_reported(study.table, page.method_titles, k=k)
 # For comparison, the paper's own numbers for its eleven methods and six datasets. They are not measured here.
 
 # %% tags=["remove-input", "full-width"]
-report.reported_recall_table()
+pages.recall.reported_recall_table()
 
 # %% tags=["remove-input"]
-display(report.download(study.table, "tab03_recall"))
-report.provenance({"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study)
+display(pages.common.download(study.table, "tab03_recall"))
+pages.provenance.provenance(
+    {"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study
+)

@@ -29,8 +29,8 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import findings, report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages.scope import open_page
 
 page = open_page(profile, datasets, methods)
 order = studies.composition.order_of_fitting(page.manifest, page.datasets)
@@ -40,26 +40,26 @@ study = studies.composition.single_against_multi(
 summary = studies.composition.summary(study.table, ["suppression"])
 
 # %% tags=["remove-input"]
-display(report.finding(findings.one_transform_for_all(summary)))
-display(report.label(page.label))
-display(report.equivalence_table(summary, {"suppression": "Method"}, k=k))
-report.fitting_order(order, page.dataset_titles, study.table)
+display(pages.common.finding(pages.composition.one_transform_for_all(summary)))
+display(pages.common.label(page.label))
+display(pages.composition.equivalence_table(summary, {"suppression": "Method"}, k=k))
+pages.composition.fitting_order(order, page.dataset_titles, study.table)
 
 # %% [markdown]
 # ## The paper's Table IV
 
 # %% tags=["remove-input"]
-report.reported_equivalence_table("tab04")
+pages.composition.reported_equivalence_table("tab04")
 
 # %% [markdown]
 # ## Every pair
 
 # %% tags=["remove-input", "full-width"]
-report.single_multi_table(study.table, page.method_titles, k=k)
+pages.composition.single_multi_table(study.table, page.method_titles, k=k)
 
 # %% tags=["remove-input"]
-display(report.download(study.table, "tab04_multi_condition"))
-report.provenance(
+display(pages.common.download(study.table, "tab04_multi_condition"))
+pages.provenance.provenance(
     {
         "profile": profile,
         "datasets": order,

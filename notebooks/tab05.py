@@ -29,8 +29,8 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import display
 
-from artifact import findings, report, studies
-from artifact.notebook import NothingToShowError, open_page
+from artifact import pages, studies
+from artifact.pages.scope import NothingToShowError, open_page
 
 page = open_page(profile, datasets, methods)
 order = studies.composition.order_of_fitting(page.manifest, page.datasets)
@@ -42,26 +42,26 @@ if study.table.empty:
 summary = studies.composition.summary(study.table, ["suppression", "pair"])
 
 # %% tags=["remove-input"]
-display(report.finding(findings.irrelevant_conditions_unharmed(summary)))
-display(report.label(page.label))
-display(report.equivalence_table(summary, {"suppression": "Method", "pair": "Condition pair"}, k=k))
-report.fitting_order(order, page.dataset_titles, study.table)
+display(pages.common.finding(pages.composition.irrelevant_conditions_unharmed(summary)))
+display(pages.common.label(page.label))
+display(pages.composition.equivalence_table(summary, {"suppression": "Method", "pair": "Condition pair"}, k=k))
+pages.composition.fitting_order(order, page.dataset_titles, study.table)
 
 # %% [markdown]
 # ## The paper's Table V
 
 # %% tags=["remove-input"]
-report.reported_equivalence_table("tab05")
+pages.composition.reported_equivalence_table("tab05")
 
 # %% [markdown]
 # ## Every method
 
 # %% tags=["remove-input", "full-width"]
-report.irrelevant_table(study.table, page.method_titles, k=k)
+pages.composition.irrelevant_table(study.table, page.method_titles, k=k)
 
 # %% tags=["remove-input"]
-display(report.download(study.table, "tab05_irrelevant_conditions"))
-report.provenance(
+display(pages.common.download(study.table, "tab05_irrelevant_conditions"))
+pages.provenance.provenance(
     {
         "profile": profile,
         "datasets": order,

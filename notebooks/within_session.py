@@ -38,8 +38,8 @@ seed = 0
 # %% tags=["hide-input"]
 from IPython.display import Markdown, display
 
-from artifact import figures, report, studies
-from artifact.notebook import open_page
+from artifact import pages, studies
+from artifact.pages.scope import open_page
 
 page = open_page(profile, datasets, methods)
 study = studies.within_session.within_session(
@@ -47,11 +47,11 @@ study = studies.within_session.within_session(
 )
 
 # %% tags=["remove-input", "full-width"]
-display(report.label(page.label))
+display(pages.common.label(page.label))
 for statistic in statistics:
     rows = study.table[study.table["statistic"] == statistic]
-    display(Markdown(f"## {statistic.capitalize()}\n\n{report.within_summary(rows, page.method_titles)}"))
-    display(figures.sided_gaps(rows, page.method_titles))
+    display(Markdown(f"## {statistic.capitalize()}\n\n{pages.within_session.within_summary(rows, page.method_titles)}"))
+    display(pages.within_session.sided_gaps(rows, page.method_titles))
 
 # %% [markdown]
 # Dots are gaps with 95 % block-bootstrap intervals, bars the mean gap of the control on the original descriptors.
@@ -59,11 +59,11 @@ for statistic in statistics:
 # ## All values
 
 # %% tags=["remove-input", "full-width"]
-report.within_table(study.table, page.method_titles)
+pages.within_session.within_table(study.table, page.method_titles)
 
 # %% tags=["remove-input"]
-display(report.download(study.table, "within_session"))
-report.provenance(
+display(pages.common.download(study.table, "within_session"))
+pages.provenance.provenance(
     {
         "profile": profile,
         "datasets": page.datasets,

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 import synthetic
 
-from artifact import compose, evaluate, findings, studies
+from artifact import compose, evaluate, pages, studies
 from artifact.manifest.entries import ManifestError
 from artifact.studies import fitted, within_session
 from artifact.suppression.inlp import INLP
@@ -87,8 +87,8 @@ def test_fractions_start_at_the_original_and_share_one_evaluation_half(made):
     assert found == pytest.approx(100 * expected)
     means = studies.suppression.mean_by_fraction(table)
     assert means["pairs"].tolist() == [1] * 9
-    assert findings.a_tenth_suffices(means).agrees in (True, False)
-    assert findings.a_tenth_suffices(means[means["fraction"] != 0.1]).agrees is None
+    assert pages.suppression.a_tenth_suffices(means).agrees in (True, False)
+    assert pages.suppression.a_tenth_suffices(means[means["fraction"] != 0.1]).agrees is None
 
 
 def test_too_small_a_fraction_leaves_a_pair_out_of_the_means(tmp_path, monkeypatch):
@@ -137,7 +137,9 @@ def test_irrelevant_pairs_meet_the_composed_transform_outside_the_fitting_region
     assert len(table) == 4
     # Day and dusk differ little along the direction, so there is little to gain and nothing to lose.
     assert (table.query("suppression == 'LEACE'")["difference_R"] <= 5).all()
-    finding = findings.irrelevant_conditions_unharmed(studies.composition.summary(table, ["suppression", "pair"]))
+    finding = pages.composition.irrelevant_conditions_unharmed(
+        studies.composition.summary(table, ["suppression", "pair"])
+    )
     assert finding.page == "tab05"
 
 
@@ -163,7 +165,7 @@ def test_mixed_databases_count_added_images_within_the_threshold_as_right(made):
     assert mixed.evaluations["single"].recall(1) > mixed.evaluations["mixed"].recall(1)
     table = studies.mixed_database.mixed_table({synthetic.METHOD: mixed})
     assert table.query("evaluation == 'mixed'")["retrieved"].tolist() == best.tolist()
-    assert findings.few_images_lower_recall({synthetic.METHOD: mixed}, {synthetic.METHOD: "Coded"}).agrees
+    assert pages.mixed_database.few_images_lower_recall({synthetic.METHOD: mixed}, {synthetic.METHOD: "Coded"}).agrees
 
 
 def test_suppression_of_a_mixed_database_keeps_the_fitted_places_out(made):
@@ -177,7 +179,7 @@ def test_suppression_of_a_mixed_database_keeps_the_fitted_places_out(made):
     assert np.linalg.norm(fitted[:, None] - added[None], axis=2).min() > data.threshold
     assert not set(found.queries) & set(found.fitted_queries)
     assert found.evaluations["INLP"].recall(1) > found.evaluations["original"].recall(1) + 0.1
-    assert findings.suppression_helps_mixed_database({"m": found}, {"m": "Coded"}).agrees
+    assert pages.mixed_database.suppression_helps_mixed_database({"m": found}, {"m": "Coded"}).agrees
 
 
 def test_a_mixed_database_needs_a_traversal(tmp_path, monkeypatch):

@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 
-from artifact import datasets, report, store
+from artifact import datasets, pages, store
 from artifact.manifest import Manifest
 from artifact.runner import Outcome, Task
 
@@ -150,7 +150,7 @@ def record_run(
     lines = [
         "# Status of this build",
         "",
-        f"Profile **{profile}**, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC, {report.code_revision()}.",
+        f"Profile **{profile}**, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC, {pages.provenance.code_revision()}.",
         f"Preparing data and descriptors took {preparation:.0f} s in this run; "
         f"{sum(o.cached for o in outcomes)} of {len(outcomes)} notebooks were reused because nothing they depend on changed.",
         "",

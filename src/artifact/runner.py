@@ -28,7 +28,7 @@ from artifact import datasets, methods, parameters, store
 from artifact.extraction import extract, timing
 from artifact.manifest import Manifest
 from artifact.methods import weights
-from artifact.notebook import NothingToShowError
+from artifact.pages.scope import NothingToShowError
 
 _RUN_WITH = ("papermill", "ipykernel", "numpy", "torch", "scikit-learn", "pandas", "matplotlib")
 

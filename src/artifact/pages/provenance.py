@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import pandas as pd
 from IPython.display import HTML
 
-from artifact.report.common import table
+from artifact.pages.common import table
 
 
 class Recorded(Protocol):

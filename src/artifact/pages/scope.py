@@ -10,7 +10,7 @@ from artifact import datasets as data
 from artifact import manifest as manifests
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError
-from artifact.plotting import use_style
+from artifact.pages.style import use_style
 
 __all__ = ["NothingToShowError", "Page", "open_page"]
 

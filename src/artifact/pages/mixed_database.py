@@ -5,23 +5,27 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import pandas as pd
 from IPython.display import HTML
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from artifact.figures.embed import embed
 from artifact.metrics.evaluation import Evaluation
-from artifact.plotting import (
+from artifact.pages.common import Finding, change, number, table
+from artifact.pages.style import (
     DATABASE_COLOUR,
     DISTRACTOR_COLOUR,
     FITTING_COLOUR,
     QUERY_COLOUR,
     RIGHT_COLOUR,
     WRONG_COLOUR,
+    embed,
 )
-from artifact.studies.embedding import Embedding
+from artifact.pages.suppression import NO_LOSS_PP
+from artifact.studies import reported
+from artifact.studies.common import PERCENT
 from artifact.studies.mixed_database import MixedDatabase
 
 _MATCHES = 500
@@ -114,35 +118,93 @@ def _map_legend(figure: Figure, conditions: Sequence[str], *, with_fit: bool) ->
     figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3)
 
 
-def embeddings(found: Mapping[str, Embedding], conditions: Sequence[str], titles: Mapping[str, str]) -> HTML:
-    """Fig. 3: UMAP before and after suppression; gray lines join geometrical mutual nearest neighbours.
+def mixed_table(found: Mapping[str, MixedDatabase], panels: Mapping[str, str], titles: Mapping[str, str]) -> HTML:
+    """Show R@1 of each panel and the change between them.
 
     Parameters
     ----------
     found
-        By method: one row of panels each.
-    conditions
-        Names of the query and the database condition, for the legend.
+        By method.
+    panels
+        Evaluation name to heading, two of them, before and after.
     titles
         Method name to printed title.
     """
-    figure = Figure(figsize=(7.6, 3.6 * len(found)))
-    axes = figure.subplots(len(found), 2, squeeze=False)
-    for row, (method, one) in zip(axes, found.items(), strict=True):
-        for panel, points, name in zip(row, (one.before, one.after), ("original", "suppressed with INLP"), strict=True):
-            joined = np.stack([points[one.partners[:, 0]], points[one.partners[:, 1]]], axis=1)
-            panel.add_collection(LineCollection(joined, colors="0.6", linewidths=0.5, alpha=0.6, zorder=1))
-            panel.scatter(*points[: one.n_queries].T, s=9, color="#1f77b4", linewidths=0, zorder=2)
-            panel.scatter(*points[one.n_queries :].T, s=9, color="#ff7f0e", linewidths=0, zorder=2)
-            panel.set_title(f"{titles[method]}, {name}", fontsize=9.5)
-            panel.set_xticks([])
-            panel.set_yticks([])
-            for spine in panel.spines.values():
-                spine.set_visible(True)
-    figure.tight_layout()
-    handles = [
-        Line2D([], [], linestyle="none", marker="s", color=colour, label=label)
-        for colour, label in (("#1f77b4", f"query ({conditions[0]})"), ("#ff7f0e", f"database ({conditions[1]})"))
+    first, second = panels
+    rows = []
+    for method, one in found.items():
+        before, after = (PERCENT * one.evaluations[name].recall(1) for name in (first, second))
+        rows.append(
+            {
+                "Method": titles[method],
+                f"R@1 %, {panels[first]}": number(before),
+                f"R@1 %, {panels[second]}": number(after),
+                "Change (pp)": change(after - before),
+                "Queries": one.evaluations[first].n_queries,
+                "Database": len(one.database),
+                "Added": len(one.added),
+            }
+        )
+    frame = pd.DataFrame(rows)
+    return table(frame, numeric=list(frame.columns[1:]), caption="Measured in this run.")
+
+
+def reported_mixed_table(name: str) -> HTML:
+    """Show the values that the paper prints in Fig. 2 (``"fig02"``) or Fig. 9 (``"fig09"``)."""
+    frame = reported.table(name)
+    column = next(c for c in frame.columns if c not in ("method", "recall_percent"))
+    wide = frame.pivot_table(index="method", columns=column, values="recall_percent", sort=False)
+    titles = reported.method_titles()
+    first, second = wide.columns
+    rows = [
+        {
+            "Method": titles[method],
+            f"R@1 %, {first}": number(row[first]),
+            f"R@1 %, {second}": number(row[second]),
+            "Change (pp)": change(row[second] - row[first]),
+        }
+        for method, row in wide.iterrows()
     ]
-    figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2)
-    return embed(figure, "UMAP of query and database descriptors before and after condition suppression")
+    shown = pd.DataFrame(rows)
+    return table(
+        shown, numeric=list(shown.columns[1:]), caption="Reported by the paper for RobotCar; not measured here."
+    )
+
+
+def few_images_lower_recall(found: Mapping[str, MixedDatabase], titles: Mapping[str, str]) -> Finding:
+    """A few images of the query's condition in the database lower R@1 (Fig. 2)."""
+    changes = {
+        m: (100 * one.evaluations["single"].recall(1), 100 * one.evaluations["mixed"].recall(1))
+        for m, one in found.items()
+    }
+    falls = [m for m, (alone, mixed) in changes.items() if mixed < alone]
+    worst = min(changes, key=lambda m: changes[m][1] - changes[m][0])
+    before, after = changes[worst]
+    added = len(next(iter(found.values())).added)
+    return Finding(
+        "fig02",
+        "A few images of the query's kind of condition in the database can lower R@1, though some of them show the place.",
+        "5 % of a day traversal lower R@1 on RobotCar from 95.9 % to 80.5 % (AnyLoc), from 91.5 % to 86.8 % (EigenPlaces)",
+        f"some method loses more than {NO_LOSS_PP:g} pp",
+        f"{added} added images lower R@1 for {len(falls)} of {len(changes)} methods; {titles[worst]} goes from "
+        f"{before:.1f} % to {after:.1f} %",
+        before - after > NO_LOSS_PP,
+    )
+
+
+def suppression_helps_mixed_database(found: Mapping[str, MixedDatabase], titles: Mapping[str, str]) -> Finding:
+    """INLP raises R@1 on a mixed database, with a fit on another part of the map (Fig. 9)."""
+    changes = {
+        m: (100 * one.evaluations["original"].recall(1), 100 * one.evaluations["INLP"].recall(1))
+        for m, one in found.items()
+    }
+    rises = [m for m, (before, after) in changes.items() if after > before]
+    listed = ", ".join(f"{titles[m]} {before:.1f} % to {after:.1f} %" for m, (before, after) in changes.items())
+    return Finding(
+        "fig09",
+        "INLP, fitted on one end of the map, raises R@1 on a mixed database elsewhere.",
+        "on RobotCar from 80.4 % to 96.8 % (AnyLoc) and from 88.7 % to 93.8 % (EigenPlaces)",
+        "R@1 rises for every method",
+        f"R@1 rises for {len(rises)} of {len(changes)} methods: {listed}",
+        len(rises) == len(changes),
+    )

@@ -11,9 +11,8 @@ from matplotlib.text import Annotation
 
 from artifact.datasets import Dataset, Traversal
 from artifact.datasets.images import read_image
-from artifact.figures.embed import embed
 from artifact.metrics.evaluation import Evaluation
-from artifact.plotting import QUERY_COLOUR, RIGHT_COLOUR, WRONG_COLOUR, show_image
+from artifact.pages.style import QUERY_COLOUR, RIGHT_COLOUR, WRONG_COLOUR, embed, show_image
 from artifact.studies.erased import Erased
 from artifact.studies.evaluated import Measured
 

@@ -5,14 +5,61 @@ from __future__ import annotations
 import base64
 import html
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import pandas as pd
 from IPython.display import HTML
 
-from artifact.findings import PAGES, Finding
+CLEARLY_PP = 10.0
+"""Difference in percentage points that counts as "well below" or "large"; the paper gives no number."""
+
+SIMILAR_PP = 5.0
+"""Difference in R@1 in percentage points up to which two methods count as similar."""
+
+PAGES = {
+    "fig02": "Fig. 2",
+    "tab03": "Table III",
+    "fig05": "Fig. 5",
+    "fig06": "Fig. 6",
+    "fig07": "Fig. 7",
+    "fig08": "Fig. 8",
+    "fig09": "Fig. 9",
+    "tab04": "Table IV",
+    "tab05": "Table V",
+    "fig10": "Fig. 10",
+}
+"""Notebooks that show a finding, with their printed titles."""
 
 _SHORT = 24  # characters that a table cell keeps on one line
 _TALL = 30  # rows from which on a table scrolls in a box of its own
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A claim of the paper and what a run says about it.
+
+    Attributes
+    ----------
+    page
+        Notebook that shows it.
+    claim
+        The claim, in one line.
+    paper
+        The paper's evidence, in one line.
+    rule
+        When the two agree; ours, since the paper states its claims in words.
+    found
+        What this run measured.
+    agrees
+        ``None`` if this run cannot tell.
+    """
+
+    page: str
+    claim: str
+    paper: str
+    rule: str
+    found: str
+    agrees: bool | None
 
 
 def finding(*findings: Finding) -> HTML:
@@ -131,3 +178,17 @@ def download(frame: pd.DataFrame, name: str) -> HTML:
         f'<p class="download"><a download="{name}.csv" href="data:text/csv;base64,{text}">Download the data behind '
         f"this page</a> ({name}.csv, {len(frame)} rows)</p>"
     )
+
+
+def change(value: float, *, digits: int = 1) -> str:
+    """Print a difference in percentage points with its sign.
+
+    Examples
+    --------
+    >>> change(1.24), change(-0.04), change(float("nan"))
+    ('+1.2', '0.0', '–')
+    """
+    if pd.isna(value):
+        return "–"
+    rounded = round(value, digits)
+    return f"{rounded:+.{digits}f}" if rounded else f"{0:.{digits}f}"

@@ -1,82 +1,108 @@
-"""Claims on recall, distractors and rankings (paper §V-B and V-C)."""
+"""Figs. 6 and 7: number, distance and condition of distractors."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import combinations
 
 import numpy as np
 import pandas as pd
+from IPython.display import HTML
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from artifact.findings.finding import CLEARLY_PP, SIMILAR_PP, Finding
-from artifact.metrics.statistics import rank_agreement
-from artifact.studies.recall import with_means
+from artifact.pages.common import CLEARLY_PP, Finding
+from artifact.pages.style import (
+    curve,
+    embed,
+    method_legend,
+    method_style,
+    percent_axis,
+)
+from artifact.studies import reported
 
 
-def ranking_changes(table: pd.DataFrame, titles: Mapping[str, str], k: int = 1) -> Finding:
-    """Methods rank differently by mean DAR@K than by mean R@K (Table III)."""
-    means = with_means(table).set_index("method")
-    agrees = None
-    if len(means) < 2:
-        found = "one method has no ranking"
-    else:
-        moved = means.index[means.rank_R != means.rank_DAR]
-        tau = rank_agreement(means.R.to_numpy(), means.DAR.to_numpy())
-        agrees = len(moved) > 0
-        moves = "; ".join(f"{titles[m]} from {means.rank_R[m]} to {means.rank_DAR[m]}" for m in moved)
-        found = (
-            f"{len(moved)} of {len(means)} methods change rank{f' ({moves})' if moves else ''}; Kendall's τ = {tau:.2f}"
-        )
-    return Finding(
-        "tab03",
-        f"Ranking methods by mean DAR@{k} gives another order than ranking them by mean R@{k}.",
-        "SALAD-CM rises from 4th to 1st, CricaVPR falls from 5th to 7th",
-        "at least one method changes its rank",
-        found,
-        agrees,
+def number_and_distance(
+    number: pd.DataFrame, distance: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1, unit: str = "m"
+) -> HTML:  # fmt: skip
+    """Fig. 6: DAR@K against the number of distractors (a) and their minimum distance (b)."""
+    return embed(
+        _number_and_distance(number, distance, titles, k, unit),
+        f"DAR@{k} against distractor number and distance",
     )
 
 
-def similar_recall_hides_differences(table: pd.DataFrame, titles: Mapping[str, str], k: int = 1) -> Finding:
-    """Two methods with similar R@K can differ widely in DAR@K (Table III, Fig. 5)."""
-    pairs = [
-        (abs(a["DAR"] - b["DAR"]), a, b)
-        for _, rows in table.groupby("dataset", sort=False)
-        for a, b in combinations(rows.to_dict("records"), 2)
-        if abs(a["R"] - b["R"]) <= SIMILAR_PP
-    ]
-    found, agrees = f"no two methods are within {SIMILAR_PP:g} pp in R@{k} on any dataset", None
-    if pairs:
-        gap, a, b = max(pairs, key=lambda pair: pair[0])
-        agrees = gap > CLEARLY_PP
-        found = (
-            f"on {a['title']}, {titles[a['method']]} and {titles[b['method']]} have R@{k} {a['R']:.1f} % and {b['R']:.1f} % "
-            f"but DAR@{k} {a['DAR']:.1f} % and {b['DAR']:.1f} %"
-        )
-    return Finding(
-        "fig05",
-        f"Similar R@{k} can hide large differences in DAR@{k}.",
-        "RobotCar: AnyLoc and SelaVPR have R@1 95.9 % and 98.2 %, DAR@1 4.21 % and 71.2 %",
-        f"two methods within {SIMILAR_PP:g} pp in R@{k} differ by more than {CLEARLY_PP:g} pp in DAR@{k} on some dataset",
-        found,
-        agrees,
+def reported_number_and_distance() -> HTML:
+    """Draw Fig. 6 from the values that the paper plots for RobotCar."""
+    number = reported.table("fig06_number").rename(columns={"dar_percent": "DAR"})
+    distance = reported.table("fig06_distance").rename(
+        columns={"dar_percent": "DAR", "minimum_distance_metres": "distance"}
     )
+    titles = reported.method_titles()
+    figure = _number_and_distance(number, distance, titles, 1, "m")
+    return embed(figure, "The paper's DAR@1 on RobotCar against distractor number and distance")
 
 
-def distractors_lower_recall(table: pd.DataFrame, titles: Mapping[str, str], k: int = 1) -> Finding:
-    """Distractors take successes from nearly every method on nearly every dataset (Table III)."""
-    loss = table["R"] - table["DAR"]
-    worst = table.loc[loss.idxmax()]
-    clear = int((loss > CLEARLY_PP).sum())
-    return Finding(
-        "tab03",
-        f"DAR@{k} is at most R@{k}, and can be far below it.",
-        "AnyLoc on RobotCar falls from 95.9 % to 4.21 %",
-        f"DAR@{k} never exceeds R@{k}, and some pair loses more than {CLEARLY_PP:g} pp",
-        f"{clear} of {len(table)} method–dataset pairs lose more than {CLEARLY_PP:g} pp; most: {titles[worst['method']]} on "
-        f"{worst['title']}, {worst['R']:.1f} % to {worst['DAR']:.1f} %",
-        bool((loss >= 0).all() and clear > 0),
-    )
+def _number_and_distance(
+    number: pd.DataFrame, distance: pd.DataFrame, titles: Mapping[str, str], k: int, unit: str
+) -> Figure:  # fmt: skip
+    figure = Figure(figsize=(8.2, 3.3))
+    left, right = figure.subplots(1, 2, sharey=True)
+    for method, rows in number.groupby("method", sort=False):
+        curve(left, rows["ratio"], rows["DAR"], method, list(titles))
+        if "draw_low" in rows:
+            colour = method_style(method, list(titles)).colour
+            left.fill_between(rows["ratio"], rows["draw_low"], rows["draw_high"], color=colour, alpha=0.18, linewidth=0)
+    left.set_xlabel("Distractor-to-query ratio")
+    left.set_title("(a) Distractor number")
+    _draw_distance(right, distance, titles, unit)
+    percent_axis(left, f"DAR@{k} (%)")
+    percent_axis(right)
+    figure.tight_layout(w_pad=1.2)
+    method_legend(figure, dict(titles))
+    return figure
+
+
+def _draw_distance(axes: Axes, distance: pd.DataFrame, titles: Mapping[str, str], unit: str) -> None:
+    """Curves over distance with infinity at an equal step beyond the last finite one, right of a dashed line."""
+    finite = sorted(x for x in distance["distance"].unique() if np.isfinite(x))
+    gap = 0.2 * (finite[-1] - finite[0]) if len(finite) > 1 else 1.0
+    end = finite[-1] + gap
+    for method, rows in distance.groupby("method", sort=False):
+        ordered = rows.sort_values("distance")
+        curve(axes, ordered["distance"].replace(np.inf, end), ordered["DAR"], method, list(titles))
+    axes.axvline(finite[-1] + gap / 2, linestyle="--", color="0.6", linewidth=0.9)
+    axes.set_xticks([*finite, end], [*(f"{x:g}" for x in finite), "∞"])
+    axes.set_xlabel(f"Minimum distractor distance ({unit})")
+    axes.set_title("(b) Distractor distance")
+
+
+def condition(table: pd.DataFrame, titles: Mapping[str, str], *, query_condition: str, k: int = 1) -> HTML:
+    """Fig. 7: DAR@K by the condition of the distractors, ordered by the mean over methods."""
+    return embed(_condition(table, titles, query_condition, k), f"DAR@{k} by the condition of the distractors")
+
+
+def reported_condition() -> HTML:
+    """Draw Fig. 7 from the values that the paper plots for RobotCar."""
+    table = reported.table("fig07").rename(columns={"dar_percent": "DAR", "distractor_condition": "condition"})
+    titles = reported.method_titles()
+    return embed(_condition(table, titles, "sun,clouds", 1), "The paper's DAR@1 on RobotCar by distractor condition")
+
+
+def _condition(table: pd.DataFrame, titles: Mapping[str, str], query_condition: str, k: int) -> Figure:
+    means = table.groupby("condition", sort=False)["DAR"].mean().sort_values()
+    order = [*(name for name in means.index if name != "none"), "none"]
+    figure = Figure(figsize=(6.4, 3.4))
+    axes = figure.subplots()
+    for method, rows in table.groupby("method", sort=False):
+        values = rows.set_index("condition")["DAR"]
+        curve(axes, range(len(order)), [values[name] for name in order], method, list(titles))
+    labels = [f"{name}\n(query)" if name == query_condition else name for name in order]
+    axes.set_xticks(range(len(order)), labels)
+    axes.set_xlabel("Distractor set")
+    percent_axis(axes, f"DAR@{k} (%)")
+    figure.tight_layout()
+    method_legend(figure, dict(titles))
+    return figure
 
 
 def few_distractors_suffice(table: pd.DataFrame, titles: Mapping[str, str], k: int = 1) -> Finding:

@@ -1,0 +1,41 @@
+"""Tables, figures and findings as a reader of the book sees them: one module per subject, as in ``studies``."""
+
+from artifact.pages import (
+    catalogue,
+    common,
+    composition,
+    diagram,
+    distractors,
+    embedding,
+    erased,
+    galleries,
+    mixed_database,
+    opening,
+    protocol,
+    provenance,
+    recall,
+    scope,
+    style,
+    suppression,
+    within_session,
+)
+
+__all__ = [
+    "catalogue",
+    "common",
+    "composition",
+    "diagram",
+    "distractors",
+    "embedding",
+    "erased",
+    "galleries",
+    "mixed_database",
+    "opening",
+    "protocol",
+    "provenance",
+    "recall",
+    "scope",
+    "style",
+    "suppression",
+    "within_session",
+]

@@ -1,0 +1,99 @@
+"""Beyond the paper: what suppression erases."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+from IPython.display import HTML
+from matplotlib.figure import Figure
+
+from artifact.pages.common import number, table
+from artifact.pages.style import embed, percent_axis
+from artifact.studies.common import PERCENT
+from artifact.studies.erased import KINDS, Erased
+
+
+def erased_table(erased: Erased) -> HTML:
+    """Show R@1 and DAR@1 of the original and the suppressed descriptors, and what happens to queries taken."""
+    rows = []
+    for view, result in erased.evaluations.items():
+        taken, recovered = erased.lost_and_recovered(view) if view != "original" else ((), ())
+        rows.append(
+            {
+                "Descriptors": view,
+                "R@1 %": number(PERCENT * result.recall(1)),
+                "DAR@1 %": number(PERCENT * result.dar(1)),
+                "RSR@1 %": number(PERCENT * result.rsr(1)),
+                "given back": f"{len(recovered)} of {len(taken)}" if view != "original" else "–",
+            }
+        )
+    shown = pd.DataFrame(rows)
+    fit, n = erased.split, erased.evaluations["original"].n_queries
+    caption = (
+        f"{n} queries evaluated; fitted on {len(fit.fit_queries)} queries and {len(fit.fit_database)} database images."
+    )
+    return table(shown, numeric=list(shown.columns[1:]), caption=caption)
+
+
+def erased_similarities(erased: Erased) -> str:
+    """Say in words how far a distractor's similarity lies above a positive's, before and after."""
+    positive, distractor, _ = KINDS
+    parts = []
+    for view, found in erased.similarities.items():
+        spread = np.sqrt((found[positive].var() + found[distractor].var()) / 2)
+        gap = (found[positive].mean() - found[distractor].mean()) / spread
+        parts.append(f"{view} {gap:+.2f}")
+    return (
+        "Mean similarity of positives minus that of distractors, in units of their pooled standard deviation: "
+        f"{', '.join(parts)}. The larger, the easier it is for a positive to win."
+    )
+
+
+def iterations(table: pd.DataFrame) -> HTML:
+    """R@1 and DAR@1 after each INLP iteration, and how well the next classifier still tells the conditions.
+
+    Parameters
+    ----------
+    table
+        ``iteration``, ``R``, ``DAR``, ``accuracy`` in percent.
+    """
+    figure = Figure(figsize=(7.2, 3.1))
+    axes = figure.subplots()
+    for column, label, colour in (
+        ("R", "R@1", "#2e8b57"), ("DAR", "DAR@1", "#1f77b4"), ("accuracy", "classifier, training accuracy", "0.55"),
+    ):  # fmt: skip
+        axes.plot(table["iteration"], table[column], color=colour, marker="o", markersize=3, label=label)
+    axes.axhline(50, linestyle=":", color="0.55", linewidth=0.9)
+    axes.set_xlabel("INLP iterations")
+    percent_axis(axes, "percent")
+    figure.tight_layout()
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3)
+    return embed(figure, "R@1, DAR@1 and training accuracy after each INLP iteration")
+
+
+_KIND_COLOURS = dict(zip(KINDS, ("#2e8b57", "#0000ff", "#ffa500"), strict=True))
+
+
+def similarities(found: Mapping[str, Mapping[str, np.ndarray]], views: Sequence[str]) -> HTML:
+    """Distributions of the cosine for the three kinds of pairs, one panel per view."""
+    figure = Figure(figsize=(3.1 * len(views) + 0.4, 2.9))
+    panels = figure.subplots(1, len(views), sharey=True, squeeze=False)[0]
+    for axes, view in zip(panels, views, strict=True):
+        pooled = np.concatenate(list(found[view].values()))
+        edges = np.linspace(*np.quantile(pooled, [0.001, 0.999]), 60)
+        centres = (edges[1:] + edges[:-1]) / 2
+        for kind, values in found[view].items():
+            height = np.histogram(values, edges)[0] / max(1, len(values))
+            axes.fill_between(centres, height, color=_KIND_COLOURS[kind], alpha=0.25, linewidth=0)
+            axes.plot(centres, height, color=_KIND_COLOURS[kind], linewidth=1.2, label=kind)
+            axes.axvline(np.median(values), color=_KIND_COLOURS[kind], linewidth=0.9, linestyle=":")
+        axes.set(title=view, yticks=[], ylim=(0, None))
+        axes.set_xlabel("cosine similarity")
+    panels[0].set_ylabel("share of pairs")
+    figure.tight_layout()
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3)
+    return embed(figure, f"Distributions of the cosine for {len(KINDS)} kinds of pairs: {', '.join(views)}")
