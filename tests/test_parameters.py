@@ -3,9 +3,10 @@
 import pytest
 from conftest import REPOSITORY
 
-from artifact import manifest, parameters
+from artifact import manifest
+from artifact.book import parameters
+from artifact.book.parameters import ParameterError
 from artifact.cli import asked_parameters
-from artifact.parameters import ParameterError
 
 NOTEBOOK = """
 # %% tags=["parameters"]

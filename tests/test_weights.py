@@ -21,7 +21,8 @@ from conftest import REPOSITORY, THUMBNAIL, tiny_manifest, write_images, write_m
 from filled_weights import filled, images
 from released import Aggregated, Tiny, entry_of, equal, names_in, packed, put, running, state_of
 
-from artifact import cli, datasets, manifest, methods, runner, store, verification
+from artifact import cli, datasets, manifest, methods, store, verification
+from artifact.book import runner
 from artifact.extraction import extract
 from artifact.manifest.entries import ManifestError, MethodEntry
 from artifact.methods import weights

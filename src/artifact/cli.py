@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from artifact import __version__, studies
+from artifact.book import status
 
 EPILOG = "The Makefile calls these commands; `make help` lists them. See README.md for what each costs."
 
@@ -35,13 +36,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _user_errors() -> tuple[type[Exception], ...]:
     """Errors that are addressed to the user: shown without a traceback."""
-    from artifact.book import BookError
+    from artifact.book.build import BookError
+    from artifact.book.parameters import ParameterError
+    from artifact.book.runner import NotebookError
     from artifact.datasets import DatasetError
     from artifact.extraction.extract import ExtractionError
     from artifact.manifest.entries import ManifestError
     from artifact.methods.weights import WeightsError
-    from artifact.parameters import ParameterError
-    from artifact.runner import NotebookError
     from artifact.store import StoreError
 
     return (
@@ -132,7 +133,7 @@ def asked_parameters(texts: Sequence[str]) -> dict[str, dict[str, Any]]:
     >>> asked_parameters(["k=5", "fig06.ratios=[0, 0.5, 1]"])
     {'*': {'k': 5}, 'fig06': {'ratios': [0, 0.5, 1]}}
     """
-    from artifact.parameters import ParameterError
+    from artifact.book.parameters import ParameterError
 
     asked: dict[str, dict[str, Any]] = {}
     for text in texts:
@@ -148,14 +149,14 @@ def asked_parameters(texts: Sequence[str]) -> dict[str, dict[str, Any]]:
 
 
 def _run(options: argparse.Namespace) -> None:
-    from artifact import book, runner
+    from artifact.book import build, runner
 
     manifest = _manifest(options)
     tasks = runner.plan(manifest, options.profile, only=options.only, asked=asked_parameters(options.parameter))
-    with book.timed() as preparation:
+    with build.timed() as preparation:
         runner.prepare(manifest, tasks)
-    outcomes = runner.run(manifest, tasks, book.executed_folder(manifest), jobs=options.jobs, force=options.force)
-    book.record_run(manifest, options.profile, tasks, outcomes, preparation.seconds)
+    outcomes = runner.run(manifest, tasks, build.executed_folder(manifest), jobs=options.jobs, force=options.force)
+    status.record_run(manifest, options.profile, tasks, outcomes, preparation.seconds)
     ran = [outcome for outcome in outcomes if not outcome.cached]
     sys.stdout.write(f"notebooks: {len(ran)} run, {len(outcomes) - len(ran)} unchanged\n")
 
@@ -166,16 +167,17 @@ def _reproduce(options: argparse.Namespace) -> None:
 
 
 def _book(options: argparse.Namespace) -> None:
-    from artifact import book
+    from artifact.book import build
 
     manifest = _manifest(options)
-    built, seconds = book.build(manifest)
+    built, seconds = build.build(manifest)
     what = f"built in {seconds:.0f} s" if seconds is not None else "unchanged"
     sys.stdout.write(f"book: {what}; open {built}\n")
 
 
 def _data(options: argparse.Namespace) -> int:
-    from artifact import datasets, runner
+    from artifact import datasets
+    from artifact.book import runner
 
     manifest = _manifest(options)
     missing = 0
@@ -216,7 +218,8 @@ def _fetch_weights(manifest: Any, profile: str) -> int:
 
 
 def _extract(options: argparse.Namespace) -> None:
-    from artifact import planning, runner, shipping
+    from artifact import planning, shipping
+    from artifact.book import runner
     from artifact.extraction import extract
     from artifact.methods import weights
 
@@ -277,7 +280,6 @@ def _bench(options: argparse.Namespace) -> None:
 
 
 def _status(options: argparse.Namespace) -> None:
-    from artifact import book
     from artifact.methods import weights
 
     manifest = _manifest(options)
@@ -285,5 +287,5 @@ def _status(options: argparse.Namespace) -> None:
         state = weights.state(name, manifest.method(name))
         if state.status != "not needed":
             sys.stdout.write(f"weights of {state.detail if state.status == 'changed' else state.summary}\n")
-    for line in book.status_lines(manifest, options.profile):
+    for line in status.status_lines(manifest, options.profile):
         sys.stdout.write(f"{line}\n")

@@ -24,7 +24,8 @@ import papermill
 from papermill.exceptions import PapermillExecutionError
 from tqdm import tqdm
 
-from artifact import datasets, methods, parameters, store
+from artifact import datasets, methods, store
+from artifact.book import parameters
 from artifact.extraction import extract, timing
 from artifact.manifest import Manifest
 from artifact.methods import weights
