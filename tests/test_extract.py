@@ -15,7 +15,8 @@ import torch
 from conftest import HOG, THUMBNAIL, tiny_manifest, write_images, write_manifest
 from torch import nn
 
-from artifact import bench, datasets, manifest, methods, store
+from artifact import datasets, manifest, methods, store
+from artifact.commands import bench
 from artifact.extraction import extract, forward, reading, shards
 from artifact.extraction.extract import ExtractionError
 from artifact.manifest import entries

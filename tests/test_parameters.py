@@ -6,7 +6,7 @@ from conftest import REPOSITORY
 from artifact import manifest
 from artifact.book import parameters
 from artifact.book.parameters import ParameterError
-from artifact.cli import asked_parameters
+from artifact.commands.cli import asked_parameters
 
 NOTEBOOK = """
 # %% tags=["parameters"]

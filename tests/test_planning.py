@@ -9,11 +9,12 @@ import pytest
 import torch
 from conftest import HOG, REPOSITORY, tiny_manifest, write_images, write_manifest
 
-from artifact import cli, datasets, manifest, planning
+from artifact import datasets, manifest
+from artifact.commands import cli, plan
+from artifact.commands.plan import Need, Part
 from artifact.extraction import extract, timing
 from artifact.extraction.timing import Timing
 from artifact.manifest import entries
-from artifact.planning import Need, Part
 
 CPU = torch.device("cpu")
 
@@ -65,17 +66,17 @@ def test_what_is_stored_needs_nothing(project, quick):
     loaded = manifest.load(project / "data_manifest.yaml")
     day = datasets.load_traversal(loaded, "street", "day")
     extract.descriptors(loaded, day, "hog", workers=0)
-    rows = table_of("\n".join(planning.lines(loaded, "demo")))
+    rows = table_of("\n".join(plan.lines(loaded, "demo")))
     assert rows["hog", "street"][:2] == (12, 3)
     assert "1 of 2 traversals stored" in rows["hog", "street"][2]
     assert rows["thumbnail", "street"][0] == 24
     extract.descriptors(loaded, datasets.load_traversal(loaded, "street", "night"), "hog", workers=0)
     quick.clear()
-    rows = table_of("\n".join(planning.lines(loaded, "demo")))
+    rows = table_of("\n".join(plan.lines(loaded, "demo")))
     assert rows["hog", "street"][:2] == (0, 0)
     assert rows["hog", "street"][2].endswith("stored")
     assert [method for method, *_ in quick] == ["thumbnail"]
-    assert table_of("\n".join(planning.lines(loaded, "demo", precision="bfloat16")))["hog", "street"][0] == 24
+    assert table_of("\n".join(plan.lines(loaded, "demo", precision="bfloat16")))["hog", "street"][0] == 24
 
 
 @pytest.mark.parametrize("change", ["preprocessing", "number of images"])
@@ -88,8 +89,8 @@ def test_descriptors_of_another_time_do_not_count_as_stored(project, quick, chan
         loaded = manifest.load(write_manifest(project, content))
     else:
         (project / "data" / "street" / "day" / "frame3.png").unlink()
-    parts = planning.known_parts(loaded, "street")
-    assert not any(planning.is_stored(loaded, "hog", "street", part, "float32") for part in parts)
+    parts = plan.known_parts(loaded, "street")
+    assert not any(plan.is_stored(loaded, "hog", "street", part, "float32") for part in parts)
 
 
 def test_counts_are_those_of_the_loaded_traversals(project):
@@ -108,7 +109,7 @@ def test_counts_are_those_of_the_loaded_traversals(project):
         },
     }  # fmt: skip
     loaded = manifest.load(write_manifest(project, tiny_manifest(drive=drive)))
-    parts = planning.known_parts(loaded, "drive")
+    parts = plan.known_parts(loaded, "drive")
     assert [part.name for part in parts] == ["day", "night"]  # dusk is neither here nor needed
     for part in parts:
         assert part.images == len(datasets.load_traversal(loaded, "drive", part.name)) < 20
@@ -119,7 +120,7 @@ def test_the_papers_profile_is_planned_without_data_and_weights(tmp_path, monkey
     monkeypatch.setenv("ARTIFACT_DATA_ROOT", str(tmp_path / "none"))
     monkeypatch.setenv("ARTIFACT_CACHE", str(tmp_path / "cache"))
     loaded = manifest.load(REPOSITORY / "data_manifest.yaml")
-    text = "\n".join(planning.lines(loaded, "paper"))
+    text = "\n".join(plan.lines(loaded, "paper"))
     rows = table_of(text)
     assert len(rows) == 6 * 11
     for (method, dataset), (images, batches, line) in rows.items():
@@ -147,7 +148,7 @@ def test_each_size_of_input_is_tried_once(project, quick):
     for path in (project / "data" / "street" / "night").iterdir():
         Image.open(path).resize((80, 60)).save(path)
     loaded = manifest.load(write_manifest(project, content))
-    list(planning.lines(loaded, "demo", precision="bfloat16"))
+    list(plan.lines(loaded, "demo", precision="bfloat16"))
     assert quick == [
         ("thumbnail", (48, 64), "cpu", "bfloat16"),
         ("hog", (48, 64), "cpu", "bfloat16"),
@@ -156,20 +157,20 @@ def test_each_size_of_input_is_tried_once(project, quick):
 
 
 def test_time_shares_cores_on_the_cpu_and_images_on_cuda(monkeypatch):
-    monkeypatch.setattr(planning.os, "cpu_count", lambda: 4)
-    assert planning.seconds_per_image(Timing(0.5, 0.1, 1, 1), [CPU]) == pytest.approx(0.5 + 0.1 / 4)
+    monkeypatch.setattr(plan.os, "cpu_count", lambda: 4)
+    assert plan.seconds_per_image(Timing(0.5, 0.1, 1, 1), [CPU]) == pytest.approx(0.5 + 0.1 / 4)
     one, two = [torch.device("cuda", 0)], [torch.device("cuda", 0), torch.device("cuda", 1)]
-    assert planning.seconds_per_image(Timing(0.5, 0.1, 1, 1), one) == pytest.approx(0.5)
-    assert planning.seconds_per_image(Timing(0.5, 0.1, 1, 1), two) == pytest.approx(0.25)
-    assert planning.seconds_per_image(Timing(0.01, 0.9, 1, 1), one) == pytest.approx(0.3)  # three readers are too few
+    assert plan.seconds_per_image(Timing(0.5, 0.1, 1, 1), one) == pytest.approx(0.5)
+    assert plan.seconds_per_image(Timing(0.5, 0.1, 1, 1), two) == pytest.approx(0.25)
+    assert plan.seconds_per_image(Timing(0.01, 0.9, 1, 1), one) == pytest.approx(0.3)  # three readers are too few
 
 
 def test_totals_say_when_something_is_unknown():
     needs = [Need("a", "x", 10, 2, 60.0, 10**9, 1e9), Need("a", "y", 5, 1, None, 10**9, None, ("not timed: because",))]
-    total = planning.table(needs)[-1].split()
+    total = plan.table(needs)[-1].split()
     assert total == ["total", "15", "3", "over", "1", "min", "0", "s", "2.0", "GB", "1.0", "GB"]
-    assert "?" in planning.table(needs)[2]
-    assert planning.table(needs)[2].endswith("not timed: because")
+    assert "?" in plan.table(needs)[2]
+    assert plan.table(needs)[2].endswith("not timed: because")
 
 
 # -- trials ---------------------------------------------------------------------------------------------------------
@@ -268,8 +269,8 @@ def test_devices_and_precision_reach_extraction(project):
     assert done.returncode == 0, done.stderr
     loaded = manifest.load(project / "data_manifest.yaml")
     for part in (Part("day", 12, "here"), Part("night", 12, "here")):
-        assert planning.is_stored(loaded, "hog", "street", part, "bfloat16")
-        assert not planning.is_stored(loaded, "hog", "street", part, "float32")
+        assert plan.is_stored(loaded, "hog", "street", part, "bfloat16")
+        assert not plan.is_stored(loaded, "hog", "street", part, "float32")
     command[-2:] = ["--devices", "cuda:77"]
     done = subprocess.run(command, cwd=project, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 1

@@ -15,7 +15,8 @@ from oracle import distance, share, similarity
 from torch import nn
 from torch.nn import functional
 
-from artifact import datasets, manifest, methods, store, studies, verification
+from artifact import datasets, manifest, methods, store, studies
+from artifact.commands import verify
 from artifact.datasets.images import read_image
 from artifact.extraction import extract, local_features, partial
 from artifact.manifest.entries import ManifestError
@@ -534,7 +535,7 @@ def test_both_outputs_come_from_one_pass_and_are_stored_in_files(project, small_
     codes = model_outputs(found, traversal, "codes")[1]
     np.testing.assert_array_equal(np.unpackbits(packed[np.arange(12)], axis=1)[:, :12], codes > 0)
     assert packed.shape == (12, 2)
-    lines, _ = verification.verify(found, "demo")
+    lines, _ = verify.verify(found, "demo")
     assert lines[0].endswith(".cache: 9 stored results, 0 damaged"), "each file's sidecar tells its digest"
 
 

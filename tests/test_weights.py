@@ -21,8 +21,9 @@ from conftest import REPOSITORY, THUMBNAIL, tiny_manifest, write_images, write_m
 from filled_weights import filled, images
 from released import Aggregated, Tiny, entry_of, equal, names_in, packed, put, running, state_of
 
-from artifact import cli, datasets, manifest, methods, store, verification
+from artifact import datasets, manifest, methods, store
 from artifact.book import runner
+from artifact.commands import cli, verify
 from artifact.extraction import extract
 from artifact.manifest.entries import ManifestError, MethodEntry
 from artifact.methods import weights
@@ -626,7 +627,7 @@ def test_data_shows_licence_and_terms_before_it_downloads_and_says_what_is_missi
 def test_verify_finds_weights_that_changed_behind_their_time_stamp(tmp_path, server):
     loaded = manifest.load(project_with(tmp_path, server, state_of(1)))
     methods.fetch("tiny0", loaded.method("tiny0"), progress=False)
-    lines, faults = verification.verify(loaded, "demo")
+    lines, faults = verify.verify(loaded, "demo")
     assert faults == 0
     assert "1 files of weights, 0 changed" in lines
     path = tmp_path / "data" / "weights" / "tiny0.pth"
@@ -634,7 +635,7 @@ def test_verify_finds_weights_that_changed_behind_their_time_stamp(tmp_path, ser
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
     os.utime(path, ns=(stamp, stamp))
-    lines, faults = verification.verify(loaded, "demo")
+    lines, faults = verify.verify(loaded, "demo")
     assert faults == 1
     assert any(line.startswith(f"CHANGED   {path}") for line in lines)
 

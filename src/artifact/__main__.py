@@ -2,6 +2,6 @@
 
 import sys
 
-from artifact.cli import main
+from artifact.commands.cli import main
 
 sys.exit(main())

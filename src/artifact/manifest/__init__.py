@@ -123,7 +123,7 @@ def find(start: str | os.PathLike[str] | None = None) -> Path:
         If there is none.
     """
     folder = Path(start or Path.cwd()).resolve()
-    repository = Path(__file__).resolve().parents[2]
+    repository = Path(__file__).resolve().parents[3]
     for candidate in (folder, *folder.parents, repository):
         if (candidate / "data_manifest.yaml").is_file():
             return candidate / "data_manifest.yaml"

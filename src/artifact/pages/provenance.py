@@ -8,6 +8,7 @@ import platform
 import subprocess
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -46,15 +47,15 @@ def provenance(parameters: Mapping[str, Any], *studies: Recorded) -> HTML:
 
 def code_revision() -> str:
     """Return the package version and, in a git checkout, the commit and whether files differ from it."""
-    from artifact import __version__
+    release = version("artifact")
 
     folder = Path(__file__).resolve().parents[3]
     try:
         commit = _git(folder, "rev-parse", "--short=12", "HEAD")
         changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
     except (OSError, subprocess.CalledProcessError):
-        return f"artifact {__version__}"
-    return f"artifact {__version__}, commit {commit}{' with local changes' if changed else ''}"
+        return f"artifact {release}"
+    return f"artifact {release}, commit {commit}{' with local changes' if changed else ''}"
 
 
 def _git(folder: Path, *arguments: str) -> str:

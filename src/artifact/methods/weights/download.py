@@ -19,12 +19,13 @@ import urllib.error
 import urllib.parse
 import urllib.request
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from artifact import __version__, store
+from artifact import store
 
 TIMEOUT = 30.0
 """Seconds without an answer after which an attempt is given up."""
@@ -161,7 +162,7 @@ def _known(url: str, partial: Path) -> dict[str, Any]:
 @contextlib.contextmanager
 def _response(url: str, start: int, known: dict[str, Any], partial: Path) -> Iterator[http.client.HTTPResponse]:
     drive = _DRIVE_PAGE.match(url)
-    headers = {"User-Agent": f"artifact/{__version__}", "Accept-Encoding": "identity"}
+    headers = {"User-Agent": f"artifact/{version('artifact')}", "Accept-Encoding": "identity"}
     if start:
         headers["Range"] = f"bytes={start}-"
         if not known["version"].startswith("W/"):

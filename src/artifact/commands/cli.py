@@ -11,8 +11,7 @@ from typing import Any
 
 import yaml
 
-from artifact import __version__, studies
-from artifact.book import status
+from artifact import __version__
 
 EPILOG = "The Makefile calls these commands; `make help` lists them. See README.md for what each costs."
 
@@ -149,7 +148,7 @@ def asked_parameters(texts: Sequence[str]) -> dict[str, dict[str, Any]]:
 
 
 def _run(options: argparse.Namespace) -> None:
-    from artifact.book import build, runner
+    from artifact.book import build, runner, status
 
     manifest = _manifest(options)
     tasks = runner.plan(manifest, options.profile, only=options.only, asked=asked_parameters(options.parameter))
@@ -218,19 +217,19 @@ def _fetch_weights(manifest: Any, profile: str) -> int:
 
 
 def _extract(options: argparse.Namespace) -> None:
-    from artifact import planning, shipping
     from artifact.book import runner
+    from artifact.commands import plan, ship
     from artifact.extraction import extract
     from artifact.methods import weights
 
     manifest = _manifest(options)
     profile = manifest.profile(options.profile)
     if options.ship:
-        for path in shipping.ship(manifest, options.ship, profile.methods):
+        for path in ship.ship(manifest, options.ship, profile.methods):
             sys.stdout.write(f"{path}\n")
         return
     if options.dry_run:
-        for line in planning.lines(manifest, options.profile, device=options.devices, precision=options.precision):
+        for line in plan.lines(manifest, options.profile, device=options.devices, precision=options.precision):
             sys.stdout.write(f"{line}\n")
         return
     traversals = [traversal for name in profile.datasets for traversal in runner.load_all(manifest, name)]
@@ -246,10 +245,11 @@ def _extract(options: argparse.Namespace) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> None:
+    from artifact.studies import recall
 
     manifest = _manifest(options)
     profile = manifest.profile(options.profile)
-    study = studies.recall.recall_table(
+    study = recall.recall_table(
         manifest, options.datasets or profile.datasets, options.methods or profile.methods, k=options.k
     )
     shown = study.table[["title", "method", "R", "DAR", "RSR", "queries", "origin"]]
@@ -257,15 +257,15 @@ def _evaluate(options: argparse.Namespace) -> None:
 
 
 def _verify(options: argparse.Namespace) -> int:
-    from artifact import verification
+    from artifact.commands import verify
 
-    lines, faults = verification.verify(_manifest(options), options.profile)
+    lines, faults = verify.verify(_manifest(options), options.profile)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return 1 if faults else 0
 
 
 def _bench(options: argparse.Namespace) -> None:
-    from artifact import bench
+    from artifact.commands import bench
     from artifact.extraction import forward, timing
 
     manifest = _manifest(options)
@@ -280,6 +280,7 @@ def _bench(options: argparse.Namespace) -> None:
 
 
 def _status(options: argparse.Namespace) -> None:
+    from artifact.book import status
     from artifact.methods import weights
 
     manifest = _manifest(options)

@@ -1,0 +1,79 @@
+"""Data flows one way: no module imports from a later stage, none imports in a circle, and the town knows no artifact."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).resolve().parents[1] / "src"
+STAGES = (
+    "manifest", "store", "datasets", "methods", "extraction", "suppression", "ranking", "metrics", "studies", "pages", "book",
+    "commands",
+)  # fmt: skip
+MODULES = {
+    ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in sorted(SOURCE.rglob("*.py"))
+}
+
+
+def imports_of(module):
+    """Modules of this repository that a module imports, at its top or inside a function."""
+    found = set()
+    for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names if alias.name in MODULES}
+        elif isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                found.add(full if full in MODULES else node.module)
+    return {name for name in found if name in MODULES}
+
+
+IMPORTS = {module: imports_of(module) for module in MODULES}
+
+
+def stage(module):
+    return STAGES.index(module.split(".")[1])
+
+
+def test_the_folder_listing_is_the_architecture():
+    listed = {p.stem for p in (SOURCE / "artifact").iterdir() if not p.name.startswith("__")}
+    assert listed == set(STAGES)
+
+
+@pytest.mark.parametrize("module", [m for m in MODULES if m.startswith("artifact.") and m != "artifact.__main__"])
+def test_no_module_imports_from_a_later_stage(module):
+    later = [m for m in IMPORTS[module] if m.startswith("artifact.") and stage(m) > stage(module)]
+    assert not later
+
+
+def test_no_module_imports_in_a_circle():
+    # A package and what it only re-exports (`from artifact.studies import recall`) do not make a circle.
+    graph = {
+        module: {other for other in others if not module.startswith(f"{other}.") and not other.startswith(f"{module}.")}
+        for module, others in IMPORTS.items()
+    }
+    done, path = set(), []
+
+    def visit(module):
+        assert module not in path, " → ".join([*path[path.index(module) :], module])
+        if module not in done:
+            path.append(module)
+            for other in graph[module]:
+                visit(other)
+            path.pop()
+            done.add(module)
+
+    for module in graph:
+        if module != "artifact":
+            visit(module)
+
+
+def test_the_town_imports_nothing_of_the_library():
+    assert not [
+        (module, other)
+        for module in MODULES
+        if module.split(".")[0] == "artifact_city"
+        for other in IMPORTS[module]
+        if other.split(".")[0] == "artifact"
+    ]
