@@ -116,7 +116,8 @@ def test_a_wrong_dimension_in_the_manifest_is_named(project):
 
 SLOW = """
 import sys, time
-from artifact import datasets, extract, manifest, methods, partial
+from artifact import datasets, manifest, methods
+from artifact.extraction import extract, partial
 from artifact.methods.hog import HOG
 class Slow(HOG):
     def forward(self, images):
@@ -386,7 +387,7 @@ def test_nothing_outlives_a_killed_run(project):
     loaded, traversal = with_method(project, "slow")
     mark = f"mark-{os.getpid()}-{time.monotonic_ns()}"
     code = (
-        "from artifact import datasets, extract, manifest\n"
+        "from artifact import datasets, manifest\nfrom artifact.extraction import extract\n"
         "loaded = manifest.load('data_manifest.yaml')\n"
         "traversal = datasets.load_traversal(loaded, 'street', 'day')\n"
         "extract.descriptors(loaded, traversal, 'own', device='cpu,cpu', workers=1)"

@@ -133,3 +133,9 @@ def test_the_shipped_manifest_is_the_papers():
     cricavpr = loaded.method("cricavpr")
     assert cricavpr.batch_dependent
     assert cricavpr.batch_size == 16
+
+
+def test_the_cache_folder_can_be_moved(project, monkeypatch):
+    assert manifest.load(project / "data_manifest.yaml").cache == project.resolve() / ".cache"
+    monkeypatch.setenv("ARTIFACT_CACHE", str(project / "fast"))
+    assert manifest.load(project / "data_manifest.yaml").cache == (project / "fast").resolve()

@@ -80,9 +80,3 @@ def test_digests_are_remembered_until_a_file_changes(tmp_path, monkeypatch):
     files[1].write_text("longer than before")
     assert store.digest_of_files(files, tmp_path / "cache")[1] != first[1]
     assert read == ["1.txt"]
-
-
-def test_the_cache_folder_can_be_moved(tmp_path, monkeypatch):
-    assert store.cache_folder(tmp_path) == tmp_path / ".cache"
-    monkeypatch.setenv("ARTIFACT_CACHE", str(tmp_path / "fast"))
-    assert store.cache_folder(tmp_path) == tmp_path / "fast"

@@ -20,23 +20,9 @@ from typing import Any
 import numpy as np
 from filelock import FileLock
 
-CACHE_VARIABLE = "ARTIFACT_CACHE"
-
 
 class StoreError(RuntimeError):
     """A stored result that does not fit its sidecar."""
-
-
-def cache_folder(start: str | os.PathLike[str]) -> Path:
-    """Return the folder of stored results: ``$ARTIFACT_CACHE``, else ``.cache`` beside the manifest.
-
-    Parameters
-    ----------
-    start
-        The folder of the manifest.
-    """
-    chosen = os.environ.get(CACHE_VARIABLE)
-    return Path(chosen).expanduser().resolve() if chosen else Path(start).resolve() / ".cache"
 
 
 # -- keys ---------------------------------------------------------------------------------------------------

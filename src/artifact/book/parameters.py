@@ -13,7 +13,6 @@ from typing import Any
 
 import jupytext
 
-from artifact import datasets
 from artifact.datasets import DatasetError
 from artifact.datasets.appearance import STATISTICS
 from artifact.manifest import Manifest
@@ -124,7 +123,7 @@ def _one_dataset(value: Any, manifest: Manifest) -> str | None:
     if not isinstance(value, str):
         return allowed
     try:
-        datasets.entry_of(manifest, value)
+        manifest.dataset(value)
     except (DatasetError, ManifestError) as error:
         return str(error) if Path(value).expanduser().is_dir() else allowed
     return None

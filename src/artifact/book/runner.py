@@ -163,7 +163,7 @@ def load_all(manifest: Manifest, dataset: str) -> list[datasets.Traversal]:
         If the query or the database is missing. A missing further traversal fails the notebook that needs it.
     """
     loaded = list(datasets.load(manifest, dataset).traversals.values())
-    for name in datasets.entry_of(manifest, dataset).traversals:
+    for name in manifest.dataset(dataset).traversals:
         if name not in {traversal.name for traversal in loaded}:
             with contextlib.suppress(datasets.DatasetError):
                 loaded.append(datasets.load_traversal(manifest, dataset, name))
@@ -217,7 +217,7 @@ def run(
 
 
 def _run_one(manifest: Manifest, task: Task, key: str, output: Path, *, force: bool) -> Outcome:
-    stored = store.cache_folder(manifest.path.parent) / "notebooks" / f"{task.name}-{key[:24]}.ipynb"
+    stored = manifest.cache / "notebooks" / f"{task.name}-{key[:24]}.ipynb"
     target = output / f"{task.name}.ipynb"
     record = stored.with_suffix(".json")
     with store.lock(stored):

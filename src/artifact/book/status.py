@@ -80,7 +80,7 @@ def _data_rows(manifest: Manifest, tasks: Sequence[Task]) -> list[list[str]]:
 
     rows = []
     for name in dict.fromkeys(name for task in tasks for name in task.datasets):
-        kind = datasets.entry_of(manifest, name).kind
+        kind = manifest.dataset(name).kind
         for traversal in load_all(manifest, name):
             state = "rendered" if kind == "city" else "images" if traversal.has_images else "shipped descriptors"
             rows.append([name, traversal.name, str(len(traversal)), state, f"`{traversal.digest[:12]}`"])
@@ -102,7 +102,7 @@ def status_lines(manifest: Manifest, profile: str) -> list[str]:
     """Return what is ready and what is missing, without making anything."""
     from artifact.extraction import extract
 
-    cache = store.cache_folder(manifest.path.parent)
+    cache = manifest.cache
     lines = [f"manifest  {manifest.path}", f"data root {manifest.data_root}", f"cache     {cache}"]
     entry = manifest.profile(profile)
     for name in entry.datasets:

@@ -18,7 +18,7 @@ import numpy as np
 from PIL import Image
 from tqdm import tqdm
 
-from artifact import datasets, store
+from artifact import store
 from artifact.datasets import folder, shipped
 from artifact.datasets.rendered import is_rendered, rendered
 from artifact.datasets.traversal import Traversal
@@ -126,7 +126,7 @@ def known_parts(manifest: Manifest, dataset: str) -> list[Part]:
 
     The number is that of the images here, else of the shipped descriptors, else the paper's (query and database).
     """
-    entry = datasets.entry_of(manifest, dataset)
+    entry = manifest.dataset(dataset)
     parts = [_part(manifest, dataset, entry, name) for name in entry.traversals]
     needed = {entry.query, entry.database}
     return [part for part in parts if part.name in needed or part.images is not None]
@@ -137,7 +137,7 @@ def _part(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> P
     images = manifest.data_root / (entry.root or dataset) / (traversal.images or name)
     if entry.kind == "city":
         render, label = traversal.render or {}, f"{dataset}/{name}"
-        cache = store.cache_folder(manifest.path.parent)
+        cache = manifest.cache
         if not is_rendered(render, cache, label):
             return Part(name, render.get("frames"), "not rendered yet")
         images = rendered(render, cache, label, progress=False)
@@ -175,7 +175,7 @@ def is_stored(manifest: Manifest, method: str, dataset: str, part: Part, precisi
     """
     entry = manifest.method(method)
     if part.state == "not there yet":
-        listed = shipped.traversal(datasets.entry_of(manifest, dataset).root or dataset, part.name)
+        listed = shipped.traversal(manifest.dataset(dataset).root or dataset, part.name)
         if listed is not None and shipped.descriptors(_key(dataset, part.name, listed[1], method, entry, precision)):
             return True
     folders = {name: other.root or name for name, other in manifest.datasets.items()}
@@ -306,7 +306,7 @@ def _footnotes(
     if readers:
         n = len(devices) * reading.default_workers(len(devices))
         yield f"memory: of the model's process for a batch; reading takes {n} × {size(max(readers))} besides"
-    cache = store.cache_folder(manifest.path.parent)
+    cache = manifest.cache
     nearest = next(place for place in (cache, *cache.parents) if place.exists())
     needed, free = sum(need.disk for need in needs), shutil.disk_usage(nearest).free
     short = "" if needed <= free else "; too little: set ARTIFACT_CACHE to a folder on a larger disk"

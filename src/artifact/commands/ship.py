@@ -37,7 +37,7 @@ def ship(manifest: Manifest, dataset: str, methods: Iterable[str]) -> list[str]:
     DatasetError
         If the images are not on this machine.
     """
-    entry = datasets.entry_of(manifest, dataset)
+    entry = manifest.dataset(dataset)
     folder = shipped.folder() / (entry.root or dataset)
     traversals = [datasets.load_traversal(manifest, dataset, name) for name in entry.traversals]
     for traversal in traversals:
@@ -48,7 +48,7 @@ def ship(manifest: Manifest, dataset: str, methods: Iterable[str]) -> list[str]:
     for traversal in traversals:
         path = folder / f"{traversal.name}-appearance.npy"
         with store.replacing(path) as temporary:
-            np.save(temporary, appearance(traversal, store.cache_folder(manifest.path.parent)))
+            np.save(temporary, appearance(traversal, manifest.cache))
         kept = {"key": appearance_key(traversal), "traversal": traversal.name, "sha256": store.digest_of_file(path)}
         store.write_json(path.with_suffix(".json"), kept)
         written.append(str(path))

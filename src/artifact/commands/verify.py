@@ -28,7 +28,7 @@ def verify(manifest: Manifest, profile: str) -> tuple[list[str], int]:
     faults
         Number of damaged files, of changed weights and of measurements more than 1 percentage point from the paper's.
     """
-    lines, damaged = _verify_files(store.cache_folder(manifest.path.parent))
+    lines, damaged = _verify_files(manifest.cache)
     more, shipped_damaged = _verify_files(shipped.folder())
     weighed, changed = _verify_weights(manifest, profile)
     compared, different = _compare(manifest, profile)
@@ -64,7 +64,7 @@ def _verify_weights(manifest: Manifest, profile: str) -> tuple[list[str], int]:
 
 def _compare(manifest: Manifest, profile: str) -> tuple[list[str], int]:
     entry = manifest.profile(profile)
-    reported = {name: e for name in entry.datasets if (e := datasets.entry_of(manifest, name)).reported_as}
+    reported = {name: e for name in entry.datasets if (e := manifest.dataset(name)).reported_as}
     methods = [name for name in entry.methods if name in reported.method_titles()]
     if not reported or not methods:
         what = "dataset" if not reported else "method"

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +15,11 @@ from artifact import store
 from artifact.datasets import folder, shipped
 from artifact.datasets.rendered import is_rendered, rendered
 from artifact.datasets.traversal import Dataset, DatasetError, Traversal
-from artifact.manifest import Manifest, parse_dataset
-from artifact.manifest.entries import DatasetEntry, ManifestError, Threshold, TraversalEntry
+from artifact.manifest import Manifest
+from artifact.manifest.entries import DatasetEntry, ManifestError
+from artifact.manifest.layout import POSITIONS_FILE, positions_source
 
-__all__ = ["Dataset", "DatasetError", "Traversal", "entry_of", "load", "load_traversal"]
-
-_DESCRIPTION = "dataset.yaml"
-_QUERY_FOLDERS = ("queries", "query")
-_DATABASE_FOLDERS = ("database", "gallery")
+__all__ = ["Dataset", "DatasetError", "Traversal", "load", "load_traversal"]
 
 
 def load(manifest: Manifest, name: str, traversals: Iterable[str] | None = None) -> Dataset:
@@ -33,7 +30,7 @@ def load(manifest: Manifest, name: str, traversals: Iterable[str] | None = None)
     manifest
         The manifest.
     name
-        A dataset of the manifest, or the path of a folder (see :func:`entry_of`).
+        A dataset of the manifest, or the path of a folder (see :meth:`artifact.manifest.Manifest.dataset`).
     traversals
         Names of further traversals to load; default none.
 
@@ -42,7 +39,7 @@ def load(manifest: Manifest, name: str, traversals: Iterable[str] | None = None)
     DatasetError
         If files are missing or do not fit together; the message says how to obtain the dataset.
     """
-    entry = entry_of(manifest, name)
+    entry = manifest.dataset(name)
     wanted = dict.fromkeys([entry.query, entry.database, *(traversals or [])])
     loaded = {traversal: load_traversal(manifest, name, traversal) for traversal in wanted}
     _check_pair(name, entry, loaded[entry.query], loaded[entry.database])
@@ -59,74 +56,13 @@ def load(manifest: Manifest, name: str, traversals: Iterable[str] | None = None)
     )
 
 
-def entry_of(manifest: Manifest, name: str) -> DatasetEntry:
-    """Return the entry of a dataset that is named in the manifest, or that is a folder.
-
-    A folder describes itself in ``dataset.yaml`` (the same keys as a manifest entry), or has the sub-folders
-    ``queries`` and ``database`` (or ``gallery``): then positions come from ``positions.csv`` in each, else from
-    ``@utm_east@utm_north@`` file names, else from the frame order, and the threshold is 25 m, or 1 frame.
-    """
-    if name in manifest.datasets:
-        return manifest.datasets[name]
-    path = Path(name).expanduser()
-    if not path.is_dir():
-        raise ManifestError(
-            f"no dataset {name!r}: it is neither in {manifest.path} ({', '.join(manifest.datasets)}) nor a folder"
-        )
-    if (path / _DESCRIPTION).is_file():
-        return parse_dataset(path / _DESCRIPTION, root=str(path.resolve()))
-    return _entry_from_layout(path.resolve())
-
-
-def _entry_from_layout(path: Path) -> DatasetEntry:
-    chosen = []
-    for candidates in (_QUERY_FOLDERS, _DATABASE_FOLDERS):
-        found = [candidate for candidate in candidates if (path / candidate).is_dir()]
-        if len(found) != 1:
-            raise DatasetError(
-                f"{path}: expected one folder named {' or '.join(candidates)}, found {len(found)}; "
-                f"or describe the dataset in {path / _DESCRIPTION}"
-            )
-        chosen.append(found[0])
-    sources = {_positions_source(path / part) for part in chosen}
-    if len(sources) != 1:
-        raise DatasetError(
-            f"{path}: {chosen[0]} and {chosen[1]} have different kinds of positions: {', '.join(sorted(sources))}"
-        )
-    source = sources.pop()
-    in_frames = source == "order" or (source == "csv" and _csv_unit(path / chosen[0]) == "frames")
-    return DatasetEntry(
-        title=path.name,
-        kind="folder",
-        root=str(path),
-        threshold=Threshold(value=1.0, unit="frames") if in_frames else Threshold(value=25.0, unit="metres"),
-        query=chosen[0],
-        database=chosen[1],
-        shift=f"{chosen[0]}→{chosen[1]}",
-        traversals={part: TraversalEntry(condition=part, positions=source) for part in chosen},
-    )
-
-
-def _positions_source(path: Path) -> str:
-    if (path / folder.POSITIONS_FILE).is_file():
-        return "csv"
-    return "names" if Path(folder.list_images(path)[0]).name.startswith("@") else "order"
-
-
-def _csv_unit(path: Path) -> str:
-    with (path / folder.POSITIONS_FILE).open(encoding="utf-8-sig") as stream:
-        return "frames" if "index" in stream.readline().lower() else "metres"
-
-
 def load_traversal(manifest: Manifest, dataset: str, name: str) -> Traversal:
     """Load one traversal of a dataset; see :func:`load`."""
-    entry = entry_of(manifest, dataset)
+    entry = manifest.dataset(dataset)
     if name not in entry.traversals:
         raise ManifestError(f"{dataset}: no traversal {name!r}; the traversals are {', '.join(entry.traversals)}")
-    loaders: dict[str, Callable[..., Traversal]] = {
-        "folder": _load_folder, "gardens_point": _load_gardens_point, "city": _load_city,
-    }  # fmt: skip
-    return loaders[entry.kind](manifest, dataset, entry, name)
+    load_images = _load_rendered if entry.kind == "city" else _load_folder
+    return load_images(manifest, dataset, entry, name)
 
 
 def _load_folder(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
@@ -134,15 +70,18 @@ def _load_folder(manifest: Manifest, dataset: str, entry: DatasetEntry, name: st
     root = manifest.data_root / (entry.root or dataset)
     images = root / (traversal.images or name)
     if not images.is_dir():
-        raise DatasetError(_missing(dataset, entry, images, manifest))
+        found = _load_shipped(dataset, entry, name)
+        if found is None:
+            raise DatasetError(_missing(dataset, entry, images, manifest))
+        return found
     listed = root / traversal.image_list if traversal.image_list else None
     names = folder.list_images(images, listed)
-    source = traversal.positions or _positions_source(images)
+    source = traversal.positions or positions_source(images)
     unit = entry.threshold.unit
     if source == "names":
         positions, found = folder.positions_from_names(images, names), "metres"
     elif source == "csv":
-        file = root / traversal.positions_file if traversal.positions_file else images / folder.POSITIONS_FILE
+        file = root / traversal.positions_file if traversal.positions_file else images / POSITIONS_FILE
         positions, found = folder.positions_from_csv(file, names)
     else:
         positions, found = np.arange(len(names), dtype=np.float64)[:, None], unit
@@ -154,23 +93,22 @@ def _load_folder(manifest: Manifest, dataset: str, entry: DatasetEntry, name: st
     return _traversal(manifest, dataset, name, traversal.condition, images, names, positions)
 
 
-def _load_gardens_point(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
-    images = manifest.data_root / (entry.root or dataset) / name
-    if images.is_dir():
-        return _load_folder(manifest, dataset, entry, name)
-    stored = shipped.traversal(entry.root or dataset, name)
+def _load_shipped(dataset: str, entry: DatasetEntry, name: str) -> Traversal | None:
+    """Return a traversal of which descriptors ship with the package, without its images."""
+    folder_name = entry.root or dataset
+    stored = None if Path(folder_name).is_absolute() else shipped.traversal(folder_name, name)
     if stored is None:
-        raise DatasetError(_missing(dataset, entry, images, manifest))
+        return None
     names, digest = stored
     positions = np.arange(len(names), dtype=np.float64)[:, None]
     return Traversal(dataset, name, entry.traversals[name].condition, tuple(names), positions, digest)
 
 
-def _load_city(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
+def _load_rendered(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
     traversal = entry.traversals[name]
-    images = rendered(traversal.render or {}, store.cache_folder(manifest.path.parent), f"{dataset}/{name}")
+    images = rendered(traversal.render or {}, manifest.cache, f"{dataset}/{name}")
     names = folder.list_images(images)
-    positions, found = folder.positions_from_csv(images / folder.POSITIONS_FILE, names)
+    positions, found = folder.positions_from_csv(images / POSITIONS_FILE, names)
     if (found == "metres") != (entry.threshold.unit == "metres"):
         raise DatasetError(
             f"{dataset}/{name}: the threshold is in {entry.threshold.unit} but the positions are in {found}"
@@ -187,7 +125,7 @@ def _traversal(
     names: list[str],
     positions: np.ndarray,
 ) -> Traversal:
-    cache = store.cache_folder(manifest.path.parent)
+    cache = manifest.cache
     digests = store.digest_of_files([images / image for image in names], cache)
     digest = store.key(images=list(zip(names, digests, strict=True)))
     return Traversal(dataset, name, condition, tuple(names), positions, digest, images)
@@ -229,10 +167,10 @@ def _check_pair(name: str, entry: DatasetEntry, query: Traversal, database: Trav
 
 def describe_missing(manifest: Manifest, name: str) -> str | None:
     """Return why a dataset is not ready here, or ``None`` if it is. Renders nothing."""
-    entry = entry_of(manifest, name)
+    entry = manifest.dataset(name)
     try:
         if entry.kind == "city":
-            cache = store.cache_folder(manifest.path.parent)
+            cache = manifest.cache
             for traversal, described in entry.traversals.items():
                 if not is_rendered(described.render or {}, cache, f"{name}/{traversal}"):
                     return f"{name}: not rendered yet (make data)"

@@ -13,9 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from artifact.datasets.traversal import DatasetError
-
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
-POSITIONS_FILE = "positions.csv"
+from artifact.manifest.layout import IMAGE_SUFFIXES, POSITIONS_FILE
 
 
 def list_images(folder: Path, image_list: Path | None = None) -> list[str]:

@@ -171,7 +171,7 @@ def check_disk(manifest: Manifest, traversals: Iterable[Traversal], names: Itera
             files = _files(manifest, traversal, method, entry, descriptor_key(traversal, method, entry))
             if files is not None:
                 needs.append(files.need(f"{method} · {traversal.dataset}/{traversal.name}"))
-    local_features.check_disk(needs, store.cache_folder(manifest.path.parent), _say)
+    local_features.check_disk(needs, manifest.cache, _say)
 
 
 def _say(line: str) -> None:
@@ -193,7 +193,7 @@ def _files(
     if layout is None:
         return None
     key = _second_key(descriptors_key, entry)
-    folder = store.cache_folder(manifest.path.parent) / "local_features" / method / key[:24]
+    folder = manifest.cache / "local_features" / method / key[:24]
     return local_features.Files(folder, key, len(traversal), layout, layout.images_per_file)
 
 
@@ -221,7 +221,7 @@ def descriptor_key(traversal: Traversal, method: str, entry: MethodEntry, precis
 
 def stored_path(manifest: Manifest, method: str, key: str) -> Path:
     """Return the file that holds, or would hold, the descriptors of a key."""
-    return store.cache_folder(manifest.path.parent) / "descriptors" / method / f"{key[:24]}.npy"
+    return manifest.cache / "descriptors" / method / f"{key[:24]}.npy"
 
 
 def _load(path: Path, key: str, source: str) -> Descriptors:

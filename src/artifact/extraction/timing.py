@@ -125,7 +125,7 @@ def recorded(manifest: Manifest) -> dict[str, Any]:
 
 def record_path(manifest: Manifest) -> Path:
     """Return the file that holds the recorded times."""
-    return store.cache_folder(manifest.path.parent) / "timings.json"
+    return manifest.cache / "timings.json"
 
 
 def available_memory() -> float:

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from artifact.manifest.entries import DatasetEntry, Document, ManifestError, MethodEntry, ProfileEntry, quoted
-from artifact.manifest.faults import compose, explain, plain
+from artifact.manifest.faults import read
+from artifact.manifest.layout import entry_of_folder
 
 DATA_ROOT_VARIABLE = "ARTIFACT_DATA_ROOT"
+CACHE_VARIABLE = "ARTIFACT_CACHE"
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,29 @@ class Manifest:
     methods: dict[str, MethodEntry]
     profiles: dict[str, ProfileEntry]
 
+    @property
+    def cache(self) -> Path:
+        """Folder of stored results: ``$ARTIFACT_CACHE``, else ``.cache`` beside the manifest."""
+        chosen = os.environ.get(CACHE_VARIABLE)
+        return Path(chosen).expanduser().resolve() if chosen else self.path.parent / ".cache"
+
     def dataset(self, name: str) -> DatasetEntry:
-        """Return one dataset entry, or raise :class:`ManifestError` with the names that exist."""
-        return _lookup(self.datasets, name, "dataset", self.path)
+        """Return the entry of a dataset that the manifest names, or that is a folder.
+
+        Raises
+        ------
+        ManifestError
+            If ``name`` is neither; or if the folder cannot be used, see
+            :func:`artifact.manifest.layout.entry_of_folder`.
+        """
+        if name in self.datasets:
+            return self.datasets[name]
+        folder = Path(name).expanduser()
+        if not folder.is_dir():
+            raise ManifestError(
+                f"{self.path}: no dataset {name!r}; the datasets are {quoted(self.datasets)}, and {name!r} is no folder either"
+            )
+        return entry_of_folder(folder)
 
     def method(self, name: str) -> MethodEntry:
         """Return one method entry, or raise :class:`ManifestError` with the names that exist."""
@@ -71,11 +91,7 @@ def load(path: str | os.PathLike[str] | None = None) -> Manifest:
     path = find() if path is None else Path(path)
     if not path.is_file():
         raise ManifestError(f"{path}: no such file; the manifest is data_manifest.yaml at the top of the repository")
-    root = compose(path)
-    try:
-        document = Document.model_validate(plain(root, path))
-    except ValidationError as error:
-        raise ManifestError("\n".join(explain(error, root, path))) from None
+    document = read(path, Document)
     chosen = os.environ.get(DATA_ROOT_VARIABLE)
     data_root = Path(chosen).expanduser() if chosen else path.resolve().parent / Path(document.data_root).expanduser()
     return Manifest(
@@ -92,24 +108,6 @@ def _with_folder(entry: MethodEntry, data_root: Path) -> MethodEntry:
         return entry
     folder = data_root / Path(entry.weights.folder).expanduser()
     return entry.model_copy(update={"weights": entry.weights.model_copy(update={"folder": str(folder)})})
-
-
-def parse_dataset(path: Path, root: str) -> DatasetEntry:
-    """Read one dataset entry from a file of its own (``dataset.yaml``), with the same strictness.
-
-    Parameters
-    ----------
-    path
-        The file.
-    root
-        Folder of the dataset, used when the entry does not name one.
-    """
-    node = compose(path)
-    try:
-        entry = DatasetEntry.model_validate(plain(node, path))
-    except ValidationError as error:
-        raise ManifestError("\n".join(explain(error, node, path, DatasetEntry))) from None
-    return entry if entry.root else entry.model_copy(update={"root": root})
 
 
 def find(start: str | os.PathLike[str] | None = None) -> Path:
@@ -134,6 +132,3 @@ def _lookup(entries: dict[str, Any], name: str, kind: str, path: Path) -> Any:
     if name not in entries:
         raise ManifestError(f"{path}: no {kind} {name!r}; the {kind}s are {quoted(entries)}")
     return entries[name]
-
-
-# -- YAML with line numbers -------------------------------------------------------------------------------------------

@@ -92,7 +92,7 @@ class DatasetEntry(_Strict):
     """
 
     title: str
-    kind: Literal["folder", "gardens_point", "city"]
+    kind: Literal["folder", "city"]
     threshold: Threshold
     query: Name
     database: Name

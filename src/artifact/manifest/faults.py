@@ -5,16 +5,26 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 from types import UnionType
-from typing import Any, Union, get_args, get_origin
+from typing import Any, TypeVar, Union, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ValidationError
 
 from artifact.manifest.entries import Document, ManifestError, quoted
 
+Model = TypeVar("Model", bound=BaseModel)
 
-def compose(path: Path) -> yaml.Node:
-    """Read YAML as nodes that know their lines, or raise :class:`ManifestError`."""
+
+def read(path: Path, model: type[Model]) -> Model:
+    """Read and check a YAML file, or raise :class:`ManifestError` that lists all faults with their lines."""
+    root = _compose(path)
+    try:
+        return model.model_validate(_plain(root, path))
+    except ValidationError as error:
+        raise ManifestError("\n".join(_explain(error, root, path, model))) from None
+
+
+def _compose(path: Path) -> yaml.Node:
     try:
         node = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
     except yaml.YAMLError as error:
@@ -30,22 +40,22 @@ def compose(path: Path) -> yaml.Node:
     return node
 
 
-def plain(node: yaml.Node, path: Path) -> Any:
+def _plain(node: yaml.Node, path: Path) -> Any:
     """Build plain Python values, refusing a key that is written twice (YAML would keep the last silently)."""
     if isinstance(node, yaml.MappingNode):
         seen: dict[Any, int] = {}
         result = {}
         for key_node, value_node in node.value:
-            key = plain(key_node, path)
+            key = _plain(key_node, path)
             if key in seen:
                 raise ManifestError(
                     f"{path}:{key_node.start_mark.line + 1}: the key {key!r} is already on line {seen[key]}"
                 )
             seen[key] = key_node.start_mark.line + 1
-            result[key] = plain(value_node, path)
+            result[key] = _plain(value_node, path)
         return result
     if isinstance(node, yaml.SequenceNode):
-        return [plain(item, path) for item in node.value]
+        return [_plain(item, path) for item in node.value]
     loader = yaml.SafeLoader("")
     try:
         value = loader.construct_object(node)
@@ -72,8 +82,7 @@ def _line(root: yaml.Node, location: tuple[Any, ...]) -> int:
     return line
 
 
-def explain(error: ValidationError, root: yaml.Node, path: Path, model: type[BaseModel] = Document) -> Iterator[str]:
-    """Yield each fault of a validation with its line, key path, value found and values allowed."""
+def _explain(error: ValidationError, root: yaml.Node, path: Path, model: type[BaseModel]) -> Iterator[str]:
     for fault in error.errors():
         location = tuple(part for part in fault["loc"] if part != "[key]")
         where = f"{path}:{_line(root, location)}: {'.'.join(map(str, location)) or 'manifest'}"

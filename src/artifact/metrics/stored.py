@@ -32,7 +32,7 @@ def stored(
     record
         Facts for the sidecar, for people who look into the cache.
     """
-    path = store.cache_folder(manifest.path.parent) / "rankings" / f"{key[:24]}.npz"
+    path = manifest.cache / "rankings" / f"{key[:24]}.npz"
     with store.lock(path):
         arrays = store.load_arrays(path, key)
         if arrays is not None:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import pandas as pd
 from IPython.display import HTML
 
-from artifact import datasets as data
 from artifact import studies
 from artifact.manifest import Manifest
 from artifact.manifest.entries import DatasetEntry
@@ -40,7 +39,7 @@ class Collected:
 def collect(manifest: Manifest, names: Sequence[str], methods: Sequence[str], *, seed: int = 0) -> Collected:
     """Evaluate every claim that the datasets at hand can speak to, in the order of the paper."""
     titles = {method: manifest.method(method).title for method in methods}
-    entries = {name: data.entry_of(manifest, name) for name in names}
+    entries = {name: manifest.dataset(name) for name in names}
     measured = studies.recall.recall_table(manifest, names, methods, seed=seed)
     found = [
         recall.distractors_lower_recall(measured.table, titles),

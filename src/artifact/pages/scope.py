@@ -46,15 +46,15 @@ class Page:
     @property
     def dataset_titles(self) -> dict[str, str]:
         """Printed title of each dataset shown."""
-        return {name: data.entry_of(self.manifest, name).title for name in self.datasets}
+        return {name: self.manifest.dataset(name).title for name in self.datasets}
 
     @property
     def label(self) -> str:
         """One line that says what the numbers on the page are from."""
         kinds = {self.manifest.method(name).kind for name in self.methods}
         what = {"baseline": "baselines, not methods of the paper", "paper": "methods of the paper"}
-        rendered = [t for n, t in self.dataset_titles.items() if data.entry_of(self.manifest, n).kind == "city"]
-        real = [t for n, t in self.dataset_titles.items() if data.entry_of(self.manifest, n).kind != "city"]
+        rendered = [t for n, t in self.dataset_titles.items() if self.manifest.dataset(n).kind == "city"]
+        real = [t for n, t in self.dataset_titles.items() if self.manifest.dataset(n).kind != "city"]
         images = []
         if real:
             images.append(f"real images ({', '.join(real)})")
@@ -101,11 +101,11 @@ class Page:
         """
         candidates = list(self.datasets if dataset is None else [dataset])
         if prefer == "real":
-            candidates.sort(key=lambda name: data.entry_of(self.manifest, name).kind == "city")
+            candidates.sort(key=lambda name: self.manifest.dataset(name).kind == "city")
         elif prefer == "metres":
-            candidates.sort(key=lambda name: data.entry_of(self.manifest, name).threshold.unit != "metres")
+            candidates.sort(key=lambda name: self.manifest.dataset(name).threshold.unit != "metres")
         for name in candidates:
-            entry = data.entry_of(self.manifest, name)
+            entry = self.manifest.dataset(name)
             if (
                 (unit is None or entry.threshold.unit == unit)
                 and (entry.distractor_traversals or not distractor_traversals)
@@ -128,20 +128,20 @@ class Page:
 
     def rendered(self) -> list[str]:
         """Return the datasets that are rendered."""
-        return [name for name in self.datasets if data.entry_of(self.manifest, name).kind == "city"]
+        return [name for name in self.datasets if self.manifest.dataset(name).kind == "city"]
 
     def load_all(self, dataset: str) -> data.Dataset:
         """Load a dataset with all of its traversals."""
-        return data.load(self.manifest, dataset, data.entry_of(self.manifest, dataset).traversals)
+        return data.load(self.manifest, dataset, self.manifest.dataset(dataset).traversals)
 
     def conditions(self, dataset: str) -> tuple[str, str]:
         """Return the conditions of a dataset's query and database."""
-        entry = data.entry_of(self.manifest, dataset)
+        entry = self.manifest.dataset(dataset)
         return entry.traversals[entry.query].condition, entry.traversals[entry.database].condition
 
     def mixed_conditions(self, dataset: str) -> tuple[str, str, str]:
         """Return the conditions of query, database and the traversal whose frames join the database."""
-        entry = data.entry_of(self.manifest, dataset)
+        entry = self.manifest.dataset(dataset)
         return *self.conditions(dataset), entry.traversals[entry.same_condition_traversal].condition
 
 
@@ -163,7 +163,7 @@ def open_page(
     chosen = tuple(entry.datasets if datasets is None else datasets)
     described = tuple(entry.methods if methods is None else methods)
     for name in chosen:
-        data.entry_of(manifest, name)
+        manifest.dataset(name)
     for name in described:
         manifest.method(name)
     return Page(manifest, profile, chosen, described)

@@ -86,7 +86,7 @@ def datasets_table(manifest: Manifest, names: Iterable[str]) -> Study:
     """
     rows = []
     for name in names:
-        entry, loaded = data.entry_of(manifest, name), data.load(manifest, name)
+        entry, loaded = manifest.dataset(name), data.load(manifest, name)
         starts, _ = positives_of(loaded.query.positions, loaded.database.positions, loaded.threshold)
         counts = np.diff(starts)
         rows.append(

@@ -7,7 +7,6 @@ from typing import Any
 
 import pandas as pd
 
-from artifact import datasets as data
 from artifact.manifest import Manifest
 from artifact.studies.evaluated import Measured
 
@@ -41,4 +40,4 @@ def origin(measured: Measured) -> str:
 
 def is_reported(manifest: Manifest, dataset: str, name: str, k: int = 1) -> bool:
     """Whether a dataset is the one that the paper calls ``name``; its curves are for K = 1 only."""
-    return k == 1 and data.entry_of(manifest, dataset).reported_as == name
+    return k == 1 and manifest.dataset(dataset).reported_as == name

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from artifact import datasets as data
 from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.metrics.evaluate import evaluate
@@ -30,7 +29,7 @@ def order_of_fitting(manifest: Manifest, names: Iterable[str]) -> list[str]:
     by_title = {title.replace("StLuciaMToD", "St Lucia"): name for name, title in reported.dataset_titles().items()}
 
     def place(name: str) -> int:
-        entry = data.entry_of(manifest, name)
+        entry = manifest.dataset(name)
         standing_for = entry.reported_as or by_title.get(entry.mirrors or "")
         return FITTING_ORDER.index(standing_for) if standing_for in FITTING_ORDER else len(FITTING_ORDER)
 
@@ -114,7 +113,7 @@ def irrelevant_conditions(
             for suppressor in LOW_RANK
         }
         for name in names:
-            entry = data.entry_of(manifest, name)
+            entry = manifest.dataset(name)
             for query, database in entry.irrelevant_pairs:
                 described = describe(manifest, name, method, [query, database])
                 result = _evaluate_pair(described, query, database, fraction, erasures, seed)

@@ -96,7 +96,7 @@ def distractor_condition(
         One row per method and pool: ``method``, ``traversal``, ``condition``, ``pool_size``, ``DAR`` in percent,
         ``reported``.
     """
-    entry = data.entry_of(manifest, dataset)
+    entry = manifest.dataset(dataset)
     if not entry.distractor_traversals:
         able = [n for n, e in manifest.datasets.items() if e.distractor_traversals]
         raise ValueError(

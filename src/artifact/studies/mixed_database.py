@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from artifact import datasets as data
 from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError
@@ -102,7 +101,7 @@ def mixed_database_suppressed(
 
 
 def _same_condition(manifest: Manifest, dataset: str) -> str:
-    entry = data.entry_of(manifest, dataset)
+    entry = manifest.dataset(dataset)
     if entry.same_condition_traversal is None:
         raise ManifestError(
             f"dataset {dataset!r} names no same_condition_traversal in the manifest: a traversal with the query's kind of "

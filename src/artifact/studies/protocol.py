@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from artifact import datasets as data
 from artifact.manifest import Manifest
 from artifact.studies import evaluated
 from artifact.studies.common import PERCENT, Study
@@ -79,7 +78,7 @@ def sensitivity(
                 "excluded_DAR": dar * (kept - 1),
                 "beyond_DAR": beyond,
             }
-            row = {"dataset": name, "title": data.entry_of(manifest, name).title, "method": method}
+            row = {"dataset": name, "title": manifest.dataset(name).title, "method": method}
             row |= {"R": PERCENT * recall, "DAR": PERCENT * dar}
             rows.append(row | {column: PERCENT * change for column, change in changes.items()})
             inputs += measured.inputs

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from artifact import datasets as data
 from artifact.manifest import Manifest
 from artifact.metrics.statistics import Interval, intervals
 from artifact.studies import evaluated, reported
@@ -31,7 +30,7 @@ def recall_table(
     rows, inputs = [], []
     expected = _reported_recall() if k == 1 else {}
     for name in names:
-        entry = data.entry_of(manifest, name)
+        entry = manifest.dataset(name)
         for method in methods:
             measured = evaluated.evaluation(manifest, name, method, seed=seed)
             result = measured.evaluation

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 
 import pandas as pd
 
-from artifact import datasets as data
 from artifact.extraction.described import Described
 from artifact.manifest import Manifest
 from artifact.metrics.evaluation import Evaluation
@@ -38,7 +37,7 @@ def suppression_table(
     """
     rows, inputs = [], []
     for name in names:
-        title = data.entry_of(manifest, name).title
+        title = manifest.dataset(name).title
         for method in methods:
             result = fitted.compare(manifest, name, method, fraction=fraction, iterations=iterations, seed=seed)
             before = result.evaluations[ORIGINAL]
@@ -118,7 +117,7 @@ def fitting_fraction(
     positive = sorted(fraction for fraction in fractions if fraction > 0)
     rows, inputs = [], []
     for name in names:
-        title = data.entry_of(manifest, name).title
+        title = manifest.dataset(name).title
         for method in methods:
             found, described = fitted.by_fraction(manifest, name, method, positive, iterations=iterations, seed=seed)
             before = found[ORIGINAL, 0.0]

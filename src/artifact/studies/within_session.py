@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from artifact import datasets as data
 from artifact import store, suppression
 from artifact.datasets.appearance import STATISTICS, appearance
 from artifact.extraction.described import Described, describe
@@ -79,14 +78,14 @@ def within_session(
         for method in methods:
             described = describe(manifest, name, method)
             region = fitted.split_of(described, fraction)
-            measures = appearance(described.dataset.query, store.cache_folder(manifest.path.parent))
+            measures = appearance(described.dataset.query, manifest.cache)
             for statistic in statistics:
                 values = measures[:, STATISTICS.index(statistic)]
                 found = _evaluations(manifest, described, region, values, statistic, iterations, seed)
                 rows += [
                     {
                         "dataset": name,
-                        "title": data.entry_of(manifest, name).title,
+                        "title": manifest.dataset(name).title,
                         "method": method,
                         "statistic": statistic,
                         "view": view,
