@@ -125,7 +125,7 @@ def test_compiled_code_of_changed_sources_is_dropped(tmp_path):
 
 def test_compiling_at_set_up_compiles_all_that_frames_call():
     before = compiled_signatures()
-    assert len(before) > 60
+    assert len(before) > 15
     artifact_city.compile_all()
     for condition in artifact_city.CONDITIONS:
         artifact_city.render_frame(under(condition), PLACE)
@@ -221,7 +221,7 @@ def test_a_route_that_is_too_short_says_how_many_frames_fit(tmp_path):
     with pytest.raises(ValueError, match=r"all streets of town 4 give \d+ images at this spacing, not 99999"):
         artifact_city.positions(dataclasses.replace(DRIVE, route="all streets", frames=99_999))
     with pytest.raises(ValueError, match=r"town 4 has room for \d+ places only"):
-        artifact_city.positions(dataclasses.replace(DRIVE, route="places", camera="plate", frames=2000))
+        artifact_city.positions(dataclasses.replace(DRIVE, route="places", camera="plate", frames=600))
     assert list(tmp_path.iterdir()) == []
 
 
