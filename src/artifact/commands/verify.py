@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from artifact import datasets, store, studies
+from artifact import datasets, store
 from artifact.datasets import shipped
 from artifact.manifest import Manifest
 from artifact.methods import weights
 from artifact.methods.weights import lock
+from artifact.studies import common, recall, reported
 
 
 def verify(manifest: Manifest, profile: str) -> tuple[list[str], int]:
@@ -64,19 +65,19 @@ def _verify_weights(manifest: Manifest, profile: str) -> tuple[list[str], int]:
 
 def _compare(manifest: Manifest, profile: str) -> tuple[list[str], int]:
     entry = manifest.profile(profile)
-    reported = {name: e for name in entry.datasets if (e := manifest.dataset(name)).reported_as}
+    comparable = {name: e for name in entry.datasets if (e := manifest.dataset(name)).reported_as}
     methods = [name for name in entry.methods if name in reported.method_titles()]
-    if not reported or not methods:
-        what = "dataset" if not reported else "method"
+    if not comparable or not methods:
+        what = "dataset" if not comparable else "method"
         return [f"profile {profile!r} has no {what} of the paper: nothing to compare with its numbers"], 0
     lines, different = [], 0
-    for name in reported:
+    for name in comparable:
         missing = datasets.describe_missing(manifest, name)
         if missing:
             lines.append(f"MISSING   {name}: {missing.splitlines()[0]}")
             continue
-        for row in studies.recall.recall_table(manifest, [name], methods).table.to_dict("records"):
-            for metric in studies.common.METRICS:
+        for row in recall.recall_table(manifest, [name], methods).table.to_dict("records"):
+            for metric in common.METRICS:
                 value = row[f"reported_{metric}"]
                 judged = reported.verdict(row[metric], value, None if metric == "RSR" else row["queries"])
                 different += judged == "different"
