@@ -95,8 +95,8 @@ def _load_described(manifest: Manifest, dataset: str, entry: DatasetEntry, name:
         }
         for files in given
     ]
-    condition = entry.traversals[name].condition
-    return Traversal(dataset, name, condition, tuple(names), positions, store.key(names=names), None, *with_digests)
+    digest = store.key(names=names, given=[{m: g.sha256 for m, g in files.items()} for files in with_digests])
+    return Traversal(dataset, name, traversal.condition, tuple(names), positions, digest, None, *with_digests)
 
 
 def _load_folder(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:

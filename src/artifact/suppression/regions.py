@@ -112,7 +112,7 @@ def split(
     threshold
         Positive threshold in the same unit.
     fraction
-        Share of the queries in the fitting region.
+        Share of the evaluated queries, those with a positive, in the fitting region.
     evaluation_fraction
         Keep the evaluation region fixed: the share of the queries that lies outermost (paper Fig. 10 uses 0.5, and
         varies ``fraction`` up to it). Default: all that is not in the fitting region.
@@ -128,8 +128,9 @@ def split(
     if fraction > reserved + 1e-12:
         raise ValueError(f"fraction {fraction:g} and evaluation_fraction {evaluation_fraction:g} exceed 1 together")
     everything = np.arange(len(query_positions))
-    fit_queries = fit_region(query_positions, fraction, where)
-    excluded = fit_region(query_positions, reserved, where)
+    evaluated = np.flatnonzero(np.diff(positives_of(query_positions, database_positions, threshold)[0]))
+    fit_queries = evaluated[fit_region(query_positions[evaluated], fraction, where)]
+    excluded = evaluated[fit_region(query_positions[evaluated], reserved, where)]
     return Split(
         fit_queries=fit_queries,
         fit_database=_colocated(query_positions[fit_queries], database_positions, threshold),
