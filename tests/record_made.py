@@ -4,6 +4,8 @@ Run ``python tests/record_made.py`` after a change of ``artifact.extraction.made
 """
 
 import csv
+import dataclasses
+import functools
 import sys
 from pathlib import Path
 
@@ -48,6 +50,15 @@ def bisect(function, low, high, steps=9):
     return (low * high) ** 0.5
 
 
+def chosen(of, recall, dar):
+    """Set noise by R@1 and condition by DAR@1, in turn."""
+    noise, condition = 1.0, 0.5
+    for _ in range(3):
+        noise = bisect(functools.partial(lambda c, x: of(Strength(x, c))[0] - recall, condition), 0.3, 12.0)
+        condition = bisect(functools.partial(lambda n, x: of(Strength(n, x))[1] - dar, noise), 0.02, 12.0)
+    return Strength(round(noise, 3), round(condition, 3))
+
+
 def main():
     loaded = manifest.load()
     table = reported.table("fig05")
@@ -55,20 +66,13 @@ def main():
     for row in table.to_dict("records"):
         entry, method = loaded.dataset(row["dataset"]), loaded.method(row["method"])
         two_stage = None if method.rerank is None else "codes" if method.code_bits else "local_features"
-        noise, condition = 1.0, 0.5
-        for _ in range(3):
-            noise = bisect(
-                lambda x: measured(entry, row["method"], two_stage, Strength(x, condition))[0] - row["recall_percent"],
-                0.3, 12.0,
-            )  # fmt: skip
-            condition = bisect(
-                lambda x: measured(entry, row["method"], two_stage, Strength(noise, x))[1] - row["dar_percent"], 0.02, 12.0
-            )
-        noise, condition = round(noise, 3), round(condition, 3)
-        found = measured(entry, row["method"], two_stage, Strength(noise, condition))
-        rows.append({"dataset": row["dataset"], "method": row["method"], "noise": noise, "condition": condition})
-        sys.stdout.write(f"{row['dataset']:14} {row['method']:12} {found[0]:6.2f} {row['recall_percent']:6.2f}   "
-                         f"{found[1]:6.2f} {row['dar_percent']:6.2f}\n")  # fmt: skip
+        wanted = row["recall_percent"], row["dar_percent"]
+        of = functools.partial(measured, entry, row["method"], two_stage)
+        strength = chosen(of, *wanted)
+        found = of(strength)
+        rows.append({"dataset": row["dataset"], "method": row["method"], **dataclasses.asdict(strength)})
+        shown = " ".join(f"{value:7.2f}" for pair in zip(found, wanted, strict=True) for value in pair)
+        sys.stdout.write(f"{row['dataset']:14} {row['method']:12} {shown}\n")
         sys.stdout.flush()
     with TARGET.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, fieldnames=["dataset", "method", "noise", "condition"], lineterminator="\n")

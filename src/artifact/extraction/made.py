@@ -24,9 +24,9 @@ REVISION = 1  # raise when any made value changes: it is part of the folder's na
 DIMENSION = 192
 LOCAL_SHAPE = (4, 4, 64)
 CODE_BITS = 256
-_IMAGES = {"pairs": 240, "frames": 300, "metres": 300}
+_IMAGES = {"pairs": 200, "frames": 200, "metres": 200}
 _GALLERY = 4  # database images off the route for each on it, where the paper's database is much the larger
-_SPACING = 6.0  # metres between images of a route
+_SPACING = 8.0  # metres between images of a route
 _STRAY = 3  # queries of a route in metres that have no positive
 
 # How alike conditions are: coordinates on axes of which the first is the query's and the second the database's.

@@ -72,6 +72,8 @@ def fit_region(positions: np.ndarray, fraction: float, where: Where = "centre") 
     if not 0 <= fraction <= 1:
         raise ValueError(f"fraction is {fraction!r}; allowed: numbers from 0 to 1")
     n = len(positions)
+    if n == 0:
+        return np.zeros(0, np.int64)
     # ceil of a rounded product: 0.1 * 30 must take 3 and not 4
     count = math.ceil(round(fraction * n, 9))
     if where == "edge":
