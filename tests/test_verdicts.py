@@ -8,8 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from artifact import evaluate, manifest
+from artifact.extraction import made
+from artifact.metrics.statistics import intervals
 from artifact.studies import reported, verdicts
 from artifact.studies.verdicts import judge
+
+LISTED = dict(zip(*(reported.table("tab01")[column] for column in ("dataset", "queries")), strict=True))
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +33,7 @@ def exact():
             "title": row["dataset"],
             "method": row["method"],
         }
-        cells |= {"queries": n, "hits_R": hits["R"], "hits_DAR": hits["DAR"]}
+        cells |= {"queries": n, "listed": LISTED[row["dataset"]], "hits_R": hits["R"], "hits_DAR": hits["DAR"]}
         for metric, share in shares.items():
             cells |= {metric: share, f"{metric}_low": share - 1, f"{metric}_high": share + 1}
             cells[f"reported_{metric}"] = row[f"{metric}@1"]
@@ -38,7 +43,7 @@ def exact():
 
 def test_the_papers_own_hits_are_equal_in_every_cell_and_mean(exact):
     found = verdicts.of_recall(exact)
-    assert len(found) == 6 * 11 * 3 + 11 * 3 + 6 * 2
+    assert len(found) == 6 * 11 * 3 + 6 + 11 * 3 + 6 * 2
     assert (found["verdict"] == "equal").all(), found[found["verdict"] != "equal"]
 
 
@@ -112,3 +117,73 @@ def test_intervals_over_pairs_cover_the_mean_and_repeat():
     assert low < values.mean() < high
     assert (low, high) == verdicts.over_pairs(np.mean, values)
     assert high - low == pytest.approx(2 * 1.96 * 2.0 / 54**0.5, rel=0.35)
+
+
+# -- errors of the protocol, planted at full size -------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def full_size():
+    """RobotCar and Nordland at the paper's sizes with made descriptors: what a right run measures, and how."""
+    loaded = manifest.load()
+    found = {}
+    # Places that look alike over several frames: the tolerance then decides about many queries.
+    for name, images, alike in (("robotcar", (6021, 7513), 2), ("nordland", (3000, 3000), 6)):
+        entry = loaded.dataset(name)
+        strength = made.Strength(1.9, 0.7)
+        sides = []
+        for traversal, n in zip((entry.query, entry.database), images, strict=True):
+            along, positions = made.route(entry, traversal, n)
+            sides.append((made.descriptors(entry, traversal, "boq", along / alike, strength), positions))
+        found[name] = (entry, *sides)
+    return found
+
+
+def share_of(evaluation):
+    """R@1 and DAR@1 in percent with their intervals and hits."""
+    cells = {}
+    for metric, interval in intervals(evaluation).items():
+        cells[metric] = 100 * interval.value, 100 * interval.low, 100 * interval.high
+    hits = [int(evaluation.hits(1, distractors=d).sum()) for d in (False, True)]
+    return cells, dict(zip(("R", "DAR"), hits, strict=True)), evaluation.n_queries
+
+
+def verdicts_against(right, wrong):
+    """Verdicts of a wrong run where the right one stands for the paper."""
+    (expected, _, n), (cells, hits, n_wrong) = share_of(right), share_of(wrong)
+    found = []
+    for metric in ("R", "DAR"):
+        value, low, high = cells[metric]
+        paper = round(expected[metric][0], 2)
+        facts = {"low": low, "high": high, "hits": (hits[metric], n_wrong), "expected_queries": n}
+        found.append(judge(value, paper, digits=2, **facts).verdict)
+    return found
+
+
+def test_a_right_run_is_equal_and_planted_errors_differ(full_size):
+    entry, (queries, places), (database, where) = full_size["robotcar"]
+    thr = entry.threshold.value
+    right = evaluate(queries, database, places, where, thr)
+    assert right.excluded_queries == 34
+    assert verdicts_against(right, evaluate(queries, database, places, where, thr)) == ["equal", "equal"]
+    doubled = evaluate(queries, database, places, where, 2 * thr)
+    assert "differs" in verdicts_against(right, doubled)
+    swapped = evaluate(database, queries, where, places, thr)
+    assert "differs" in verdicts_against(right, swapped)
+    # Distractors of the query's own place are kept: the pool stands far from every query, so that none is left out.
+    kept = evaluate(queries, database, places, where, thr, queries, np.add(places, [1e7, 0]))
+    assert verdicts_against(right, kept)[1] == "differs"
+
+
+def test_a_frame_tolerance_off_by_one_differs(full_size):
+    entry, (queries, places), (database, where) = full_size["nordland"]
+    right = evaluate(queries, database, places, where, entry.threshold.value)
+    for tolerance in (entry.threshold.value - 1, entry.threshold.value + 1):
+        wrong = evaluate(queries, database, places, where, tolerance)
+        assert "differs" in verdicts_against(right, wrong), tolerance
+
+
+def test_counting_queries_without_a_positive_differs():
+    assert verdicts.of_evaluated(6021, 5987, "robotcar").verdict == "equal"
+    assert verdicts.of_evaluated(6021, 6021, "robotcar").verdict == "differs"
+    assert verdicts.of_evaluated(6019, 5985, "robotcar").verdict == "cannot tell"

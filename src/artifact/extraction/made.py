@@ -104,8 +104,13 @@ def _positions_csv(positions: np.ndarray, unit: str) -> str:
     return "\n".join([head, *rows, ""])
 
 
-def route(entry: DatasetEntry, traversal: str) -> tuple[np.ndarray, np.ndarray]:
+def route(entry: DatasetEntry, traversal: str, images: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return where the images of a traversal are.
+
+    Parameters
+    ----------
+    images
+        Their number on the route; by default as many as a rehearsal needs.
 
     Returns
     -------
@@ -114,20 +119,21 @@ def route(entry: DatasetEntry, traversal: str) -> tuple[np.ndarray, np.ndarray]:
     positions
         ``(n, 2)`` metres, or ``(n, 1)`` frames or pairs.
     """
-    unit, n = entry.threshold.unit, _IMAGES[entry.threshold.unit]
+    unit, n = entry.threshold.unit, images or _IMAGES[entry.threshold.unit]
     if unit != "metres":
-        n = min(n, entry.paper.queries if entry.paper else n)
         index = np.arange(n, dtype=np.float64)
         return index / max(entry.threshold.value, 0.2), index[:, None]
     generator = _generator(entry, traversal, "route")
-    metres = _SPACING * np.arange(n) + generator.uniform(0, _SPACING / 2, n)
-    angle = 2 * np.pi * metres / (n * _SPACING)
-    radius = n * _SPACING / (2 * np.pi) + generator.normal(0, 1.0, n)
+    length = _SPACING * n if images is None or entry.paper is None else 1.0 * entry.paper.queries
+    metres = length / n * (np.arange(n) + generator.uniform(0, 0.5, n))
+    angle = 2 * np.pi * metres / length
+    radius = length / (2 * np.pi) + generator.normal(0, 1.0, n)
     positions = np.column_stack([radius * np.cos(angle), 0.8 * radius * np.sin(angle)])
     counts = entry.paper
     if traversal == entry.query and counts is not None and counts.evaluated not in (None, counts.queries):
-        positions[-_STRAY:] += [[2000.0 + 100 * i, 0.0] for i in range(_STRAY)]
-        metres[-_STRAY:] = 1e6 + 100.0 * np.arange(_STRAY)
+        stray = _STRAY if images is None else counts.queries - counts.evaluated
+        positions[-stray:] += np.column_stack([1e5 + 100.0 * np.arange(stray), np.zeros(stray)])
+        metres[-stray:] = 1e6 + 100.0 * np.arange(stray)
     if traversal == entry.database and counts is not None and counts.database > 5 * counts.queries:
         off = _GALLERY * n
         metres = np.concatenate([metres, 2e6 + 40.0 * np.arange(off)])

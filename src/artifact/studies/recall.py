@@ -23,7 +23,7 @@ def recall_table(
     -------
     Study
         One row per dataset and method: ``dataset``, ``title``, ``method``, ``reported_as`` (the paper's name of the dataset), ``R``, ``DAR``, ``RSR`` in percent, each
-        with ``_low`` and ``_high`` (95 % block-bootstrap interval), ``queries`` (evaluated), ``hits_R`` and
+        with ``_low`` and ``_high`` (95 % block-bootstrap interval), ``queries`` (evaluated), ``listed`` (all queries), ``hits_R`` and
         ``hits_DAR`` (numbers of queries), ``ties`` (percentage points between the two tie rules), ``origin``, and
         ``reported_R``, ``reported_DAR``, ``reported_RSR`` where the paper has them.
     """
@@ -39,6 +39,7 @@ def recall_table(
             for metric, interval in intervals(result, k, seed=seed).items():
                 row |= _percentages(metric, interval)
             row["queries"] = result.n_queries
+            row["listed"] = result.n_queries + result.excluded_queries
             row["hits_R"] = int(result.hits(k, distractors=False).sum())
             row["hits_DAR"] = int(result.hits(k, distractors=True).sum())
             row["ties"] = PERCENT * (result.dar(k) - result.dar(k, ties="against"))

@@ -173,6 +173,12 @@ def _recall_rows(table: pd.DataFrame) -> Iterator[dict]:
                 cell |= {"verdict": "equal", "why": "the quotient of the same numbers of queries"}
             yield cell
     known = table[table["reported_R"].notna()]
+    for name, part in known.groupby("reported_as", sort=False):
+        row = part.iloc[0]
+        judged = of_evaluated(int(row["listed"]), int(row["queries"]), str(name))
+        expected = str(EVALUATED_QUERIES[str(name)])
+        values = ("Table I", row["title"], "all", "evaluated queries", expected, row["queries"], math.nan, math.nan)
+        yield dict(zip(COLUMNS, (*values, *judged), strict=True))
     yield from _mean_over_datasets(known)
     yield from _mean_over_methods(known)
 
@@ -261,6 +267,21 @@ def of_mixed_database(table: pd.DataFrame, where: str, dataset: str) -> pd.DataF
         )
         for row in table[table["reported"].notna()].to_dict("records")
     )
+
+
+def of_evaluated(listed: int, evaluated: int, dataset: str) -> Judged:
+    """Compare the number of evaluated queries of one of the paper's datasets, given the number of its queries.
+
+    The same images have the same positives: with the paper's list of queries, another number of evaluated ones is a
+    difference of the protocol. With another list nothing follows.
+    """
+    counts = reported.table("tab01").set_index("dataset").loc[dataset]
+    expected = EVALUATED_QUERIES[dataset]
+    if evaluated == expected:
+        return Judged("equal", f"{expected} evaluated queries in both")
+    if listed == counts["queries"]:
+        return Judged("differs", f"{evaluated} of {listed} queries have a positive, in the paper {expected}")
+    return Judged("cannot tell", f"{listed} queries are listed, in the paper {counts['queries']}")
 
 
 # -- over method–dataset pairs: Figs. 8 and 10, Tables IV and V ---------------------------------------------
