@@ -85,6 +85,39 @@ def intervals(
     return found
 
 
+def interval_of_means(
+    values: np.ndarray,
+    positions: np.ndarray,
+    threshold: float,
+    *,
+    confidence: float = 0.95,
+    count: int = 1000,
+    seed: int = 0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return bootstrap intervals of the means of several per-query values.
+
+    Parameters
+    ----------
+    values
+        ``(n, m)``: for each query, m hits or chances of a hit.
+    positions, threshold
+        Of the queries; they give the length of the blocks, see :func:`block_length`.
+    confidence, count, seed
+        As in :func:`intervals`.
+
+    Returns
+    -------
+    low, high
+        ``(m,)`` each.
+    """
+    draws = resamples(len(values), block_length(positions, threshold), count, seed)
+    # How often each query is drawn says all about a mean, and needs no array of draws × queries × m.
+    weights = np.stack([np.bincount(draw, minlength=len(values)) for draw in draws]) / len(values)
+    means = weights @ np.asarray(values, np.float64)
+    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2], axis=0)
+    return low, high
+
+
 def rank_agreement(values: np.ndarray, other_values: np.ndarray) -> float:
     """Return Kendall's tau-b between two scores of the same methods: 1 is the same order, -1 the reverse; NaN if undefined.
 

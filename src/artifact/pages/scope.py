@@ -15,6 +15,9 @@ from artifact.pages.style import use_style
 __all__ = ["NothingToShowError", "Page", "open_page"]
 
 
+MADE = "Rehearsal: made descriptors. No number on this page is a result; it shows that the page can be made."
+
+
 class NothingToShowError(ManifestError):
     """No dataset of the run has what a page needs; the page then says so instead of failing the run."""
 
@@ -51,6 +54,8 @@ class Page:
     @property
     def label(self) -> str:
         """One line that says what the numbers on the page are from."""
+        if self.manifest.profile(self.profile).made:
+            return MADE
         kinds = {self.manifest.method(name).kind for name in self.methods}
         what = {"baseline": "baselines, not methods of the paper", "paper": "methods of the paper"}
         rendered = [t for n, t in self.dataset_titles.items() if self.manifest.dataset(n).kind == "city"]
@@ -158,7 +163,7 @@ def open_page(
         Names; ``None`` takes all of the profile.
     """
     use_style()
-    manifest = manifests.load()
+    manifest = manifests.load().for_profile(profile)
     entry = manifest.profile(profile)
     chosen = tuple(entry.datasets if datasets is None else datasets)
     described = tuple(entry.methods if methods is None else methods)
