@@ -35,11 +35,11 @@ from artifact import pages
 from artifact.pages import galleries
 from artifact.pages.scope import open_page
 
-page = open_page(profile, datasets)
-rendered = page.rendered()
+page = open_page(profile, datasets=datasets, places=places)
+page = page.only(*page.rendered)
 
 # %% tags=["remove-input", "full-width"]
-for name in rendered:
+for name in page.datasets:
     dataset = page.load_all(name)
     entry = page.manifest.dataset(name)
     display(
@@ -50,8 +50,8 @@ for name in rendered:
         )
     )
     display(galleries.contact_sheet(dataset, places))
-if not rendered:
+if not page.datasets:
     display(Markdown("This profile has no rendered dataset."))
 
 # %% tags=["remove-input"]
-pages.provenance.provenance({"profile": profile, "datasets": rendered, "places": places})
+pages.provenance.provenance(page)

@@ -19,7 +19,7 @@
 # %% tags=["parameters", "hide-input"]
 profile = "demo"
 dataset = None  # None takes the first dataset of the profile whose images are real, else the first
-method = None  # None takes the last method of the profile
+method = None  # None takes the last method of the profile that does not re-rank
 fraction = 0.1
 iterations = 35
 seed = 0
@@ -31,12 +31,11 @@ from artifact import pages, studies
 from artifact.pages import galleries
 from artifact.pages.scope import open_page
 
-page = open_page(profile)
-chosen, described = page.choose(dataset, prefer="real"), method or page.methods[-1]
+page = open_page(profile, dataset=dataset, method=method, fraction=fraction, iterations=iterations, seed=seed)
+page = page.choose(prefer="real", single_stage=True)
 erased = studies.erased.what_is_erased(
-    page.manifest, chosen, described, fraction=fraction, iterations=iterations, seed=seed
+    page.manifest, page.dataset, page.method, fraction=fraction, iterations=iterations, seed=seed
 )
-page = page.only(chosen, described)
 
 # %% tags=["remove-input"]
 display(pages.common.label(page.label))
@@ -77,14 +76,4 @@ galleries.recovered_strips(erased, "LEACE")
 
 # %% tags=["remove-input"]
 display(pages.common.download(erased.iterations, "erased_iterations"))
-pages.provenance.provenance(
-    {
-        "profile": profile,
-        "dataset": chosen,
-        "method": described,
-        "fraction": fraction,
-        "iterations": iterations,
-        "seed": seed,
-    },
-    erased.described,
-)
+pages.provenance.provenance(page, erased.described)

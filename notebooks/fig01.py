@@ -31,22 +31,20 @@ from artifact.pages import galleries
 from artifact.pages.scope import open_page
 from artifact.studies import evaluated
 
-page = open_page(profile)
-chosen = page.choose(dataset, images=True, prefer="metres")
-described = method or page.methods[-1]
-measured = evaluated.evaluation(page.manifest, chosen, described, retrieve=1, seed=seed)
+page = open_page(profile, dataset=dataset, method=method, seed=seed)
+page = page.choose(images=True, prefer="metres")
+measured = evaluated.evaluation(page.manifest, page.dataset, page.method, retrieve=1, seed=seed)
 result = measured.evaluation
 taken = int((result.hits(1, distractors=False) & ~result.hits(1, distractors=True)).sum())
 
 # %% tags=["remove-input"]
-page = page.only(chosen, described)
 display(pages.common.label(page.label))
 galleries.distractor_story(measured)
 
 # %% tags=["remove-input"]
 Markdown(
     f"It is not an exception: distractors take {taken} of the {int(result.hits(1, distractors=False).sum())} queries that "
-    f"{page.method_titles[described]} places rightly on {measured.dataset.title}. The query shown is the one with the median "
+    f"{page.method_titles[page.method]} places rightly on {measured.dataset.title}. The query shown is the one with the median "
     f"margin. More of them, spread evenly over the traversal:"
 )
 
@@ -58,4 +56,4 @@ galleries.retrieval_strips(measured, n=4)
 # [Fig. 4](fig04.ipynb) turns it into a measure, [Table III](tab03.ipynb) measures it.
 
 # %% tags=["remove-input"]
-pages.provenance.provenance({"profile": profile, "dataset": chosen, "method": described, "seed": seed}, measured)
+pages.provenance.provenance(page, measured)

@@ -20,7 +20,7 @@
 # %% tags=["parameters", "hide-input"]
 profile = "demo"
 dataset = None  # None takes one of the profile, with a threshold in metres if there is one
-method = None  # None takes the last method of the profile
+method = None  # None takes the last method of the profile that does not re-rank
 fraction = 0.1  # of the queries, for fitting; the rest is shown
 iterations = 35
 seed = 0
@@ -31,14 +31,15 @@ from IPython.display import Markdown, display
 from artifact import pages, studies
 from artifact.pages.scope import open_page
 
-page = open_page(profile)
-chosen, described = page.choose(dataset, prefer="metres"), method or page.methods[-1]
-one = studies.embedding.embedding(page.manifest, chosen, described, fraction=fraction, iterations=iterations, seed=seed)
+page = open_page(profile, dataset=dataset, method=method, fraction=fraction, iterations=iterations, seed=seed)
+page = page.choose(prefer="metres", single_stage=True)
+one = studies.embedding.embedding(
+    page.manifest, page.dataset, page.method, fraction=fraction, iterations=iterations, seed=seed
+)
 
 # %% tags=["remove-input", "full-width"]
-page = page.only(chosen, described)
 display(pages.common.label(page.label))
-pages.embedding.embeddings({described: one}, page.conditions(chosen), page.method_titles)
+pages.embedding.embedding(one, page.conditions, page.method_titles[page.method])
 
 # %% [markdown]
 # ## How mixed the clouds are
@@ -55,14 +56,4 @@ Markdown(
 
 # %% tags=["remove-input"]
 display(pages.common.download(studies.embedding.embedding_table(one), "fig03_umap"))
-pages.provenance.provenance(
-    {
-        "profile": profile,
-        "dataset": chosen,
-        "method": described,
-        "fraction": fraction,
-        "iterations": iterations,
-        "seed": seed,
-    },
-    one.described,
-)
+pages.provenance.provenance(page, one.described)

@@ -29,11 +29,11 @@ from IPython.display import display
 from artifact import pages, studies
 from artifact.pages.scope import open_page
 
-page = open_page(profile, datasets, methods)
+page = open_page(profile, datasets=datasets, methods=methods, k=k, seed=seed)
 study = studies.recall.recall_table(page.manifest, page.datasets, page.methods, k=k, seed=seed)
 
 # %% tags=["remove-input"]
-display(pages.common.finding(pages.recall.similar_recall_hides_differences(study.table, page.method_titles, k)))
+display(pages.common.findings(pages.recall.similar_recall_hides_differences(study.table, page.method_titles, k)))
 display(pages.common.label(page.label))
 pages.recall.scatter(study.table, page.method_titles, k=k)
 
@@ -47,6 +47,4 @@ pages.recall.reported_scatter()
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "fig05_scatter"))
-pages.provenance.provenance(
-    {"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study
-)
+pages.provenance.provenance(page, study)

@@ -31,21 +31,21 @@ from IPython.display import display
 from artifact import pages, studies
 from artifact.pages.scope import open_page
 
-page = open_page(profile, None, methods)
-chosen = page.choose(dataset, unit="metres")
-number = studies.distractors.distractor_number(page.manifest, chosen, page.methods, ratios, k=k, seed=seed)
+page = open_page(profile, dataset=dataset, methods=methods, ratios=ratios, distances=distances, k=k, seed=seed)
+page = page.choose(unit="metres")
+number = studies.distractors.distractor_number(page.manifest, page.dataset, page.methods, ratios, k=k, seed=seed)
 distance = studies.distractors.distractor_distance(
-    page.manifest, chosen, page.methods, [*distances, float("inf")], k=k, seed=seed
+    page.manifest, page.dataset, page.methods, [*distances, float("inf")], k=k, seed=seed
 )
 
 # %% tags=["remove-input"]
 display(
-    pages.common.finding(
+    pages.common.findings(
         pages.distractors.few_distractors_suffice(number.table, page.method_titles, k),
-        pages.distractors.near_distractors_hurt_most(distance.table, page.method_titles, "metres", k),
+        pages.distractors.near_distractors_hurt_most(distance.table, page.method_titles, k),
     )
 )
-display(pages.common.label(page.only(chosen).label))
+display(pages.common.label(page.label))
 pages.distractors.number_and_distance(number.table, distance.table, page.method_titles, k=k)
 
 # %% [markdown]
@@ -62,7 +62,4 @@ pages.distractors.reported_number_and_distance()
 # %% tags=["remove-input"]
 display(pages.common.download(number.table, "fig06a_number"))
 display(pages.common.download(distance.table, "fig06b_distance"))
-pages.provenance.provenance(
-    {"profile": profile, "dataset": chosen, "methods": page.methods, "ratios": ratios, "distances": distances, "k": k, "seed": seed},
-    number, distance,
-)  # fmt: skip
+pages.provenance.provenance(page, number, distance)

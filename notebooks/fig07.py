@@ -29,16 +29,19 @@ from IPython.display import display
 from artifact import pages, studies
 from artifact.pages.scope import open_page
 
-page = open_page(profile, None, methods)
-chosen = page.choose(dataset, distractor_traversals=True)
-study = studies.distractors.distractor_condition(page.manifest, chosen, page.methods, k=k, seed=seed)
-conditions = page.conditions(chosen)
+page = open_page(profile, dataset=dataset, methods=methods, k=k, seed=seed)
+page = page.choose(distractor_traversals=True)
+study = studies.distractors.distractor_condition(page.manifest, page.dataset, page.methods, k=k, seed=seed)
 
 # %% tags=["remove-input"]
-claims = [pages.distractors.own_condition_hurts_most, pages.distractors.database_condition_hurts_little]
-display(pages.common.finding(*(claim(study.table, page.method_titles, *conditions, k) for claim in claims)))
-display(pages.common.label(page.only(chosen).label))
-pages.distractors.condition(study.table, page.method_titles, query_condition=conditions[0], k=k)
+display(
+    pages.common.findings(
+        pages.distractors.own_condition_hurts_most(study.table, page.method_titles, page.conditions, k),
+        pages.distractors.database_condition_hurts_little(study.table, page.conditions, k),
+    )
+)
+display(pages.common.label(page.label))
+pages.distractors.condition(study.table, page.method_titles, query_condition=page.conditions[0], k=k)
 
 # %% [markdown]
 # ## The paper's Fig. 7
@@ -50,6 +53,4 @@ pages.distractors.reported_condition()
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "fig07_condition"))
-pages.provenance.provenance(
-    {"profile": profile, "dataset": chosen, "methods": page.methods, "k": k, "seed": seed}, study
-)
+pages.provenance.provenance(page, study)

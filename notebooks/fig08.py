@@ -32,14 +32,14 @@ from IPython.display import display
 from artifact import pages, studies
 from artifact.pages.scope import open_page
 
-page = open_page(profile, datasets, methods)
+page = open_page(profile, datasets=datasets, methods=methods, fraction=fraction, iterations=iterations, k=k, seed=seed)
 study = studies.suppression.suppression_table(
     page.manifest, page.datasets, page.methods, fraction=fraction, iterations=iterations, k=k, seed=seed
 )
 
 # %% tags=["remove-input", "full-width"]
 display(
-    pages.common.finding(
+    pages.common.findings(
         pages.suppression.labels_less_accessible(study.table),
         pages.suppression.suppression_raises_dar(study.table, page.method_titles, k),
         pages.suppression.suppression_keeps_recall(study.table, page.method_titles, k),
@@ -65,15 +65,4 @@ pages.suppression.suppression_table(study.table, page.method_titles, k=k)
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "fig08_suppression"))
-pages.provenance.provenance(
-    {
-        "profile": profile,
-        "datasets": page.datasets,
-        "methods": page.methods,
-        "fraction": fraction,
-        "iterations": iterations,
-        "k": k,
-        "seed": seed,
-    },
-    study,
-)
+pages.provenance.provenance(page, study)

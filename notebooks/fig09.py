@@ -32,21 +32,22 @@ from IPython.display import display
 from artifact import pages, studies
 from artifact.pages.scope import open_page
 
-page = open_page(profile, None, methods)
-chosen = page.choose(dataset, same_condition_traversal=True)
+page = open_page(
+    profile, dataset=dataset, methods=methods, share=share, fraction=fraction, iterations=iterations, seed=seed
+)
+page = page.choose(same_condition_traversal=True)
 found = {
     method: studies.mixed_database.mixed_database_suppressed(
-        page.manifest, chosen, method, share=share, fraction=fraction, iterations=iterations, seed=seed
+        page.manifest, page.dataset, method, share=share, fraction=fraction, iterations=iterations, seed=seed
     )
     for method in page.methods
 }
 
 # %% tags=["remove-input", "full-width"]
-page = page.only(chosen)
-display(pages.common.finding(pages.mixed_database.suppression_helps_mixed_database(found, page.method_titles)))
+display(pages.common.findings(pages.mixed_database.suppression_helps_mixed_database(found, page.method_titles)))
 display(pages.common.label(page.label))
 panels = {"original": "original", "INLP": "suppressed with INLP"}
-pages.mixed_database.mixed_database(found, panels, page.mixed_conditions(chosen), page.method_titles)
+pages.mixed_database.mixed_database(found, panels, page.mixed_conditions, page.method_titles)
 
 # %% [markdown]
 # ## Beside the paper's Fig. 9
@@ -57,15 +58,4 @@ display(pages.mixed_database.reported_mixed_table("fig09"))
 
 # %% tags=["remove-input"]
 display(pages.common.download(studies.mixed_database.mixed_table(found), "fig09_mixed_database"))
-pages.provenance.provenance(
-    {
-        "profile": profile,
-        "dataset": chosen,
-        "methods": page.methods,
-        "share": share,
-        "fraction": fraction,
-        "iterations": iterations,
-        "seed": seed,
-    },
-    *found.values(),
-)
+pages.provenance.provenance(page, *found.values())

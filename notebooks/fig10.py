@@ -31,14 +31,16 @@ from IPython.display import Markdown, display
 from artifact import pages, studies
 from artifact.pages.scope import open_page
 
-page = open_page(profile, datasets, methods)
+page = open_page(
+    profile, datasets=datasets, methods=methods, fractions=fractions, iterations=iterations, k=k, seed=seed
+)
 study = studies.suppression.fitting_fraction(
     page.manifest, page.datasets, page.methods, fractions, iterations=iterations, k=k, seed=seed
 )
 means = studies.suppression.mean_by_fraction(study.table)
 
 # %% tags=["remove-input"]
-display(pages.common.finding(pages.suppression.a_tenth_suffices(means, k)))
+display(pages.common.findings(pages.suppression.a_tenth_suffices(means, k)))
 display(pages.common.label(page.label))
 display(pages.suppression.fraction_curves(means, k=k))
 Markdown(f"Mean over {means['pairs'].min()} method–dataset pairs.")
@@ -53,15 +55,4 @@ pages.suppression.reported_fraction_curves()
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "fig10_fitting_fraction"))
-pages.provenance.provenance(
-    {
-        "profile": profile,
-        "datasets": page.datasets,
-        "methods": page.methods,
-        "fractions": fractions,
-        "iterations": iterations,
-        "k": k,
-        "seed": seed,
-    },
-    study,
-)
+pages.provenance.provenance(page, study)

@@ -55,4 +55,4 @@ Markdown(pages.catalogue.how_to_get(catalogue))
 # %% tags=["remove-input"]
 display(pages.common.download(parity, "methods_parity"))
 display(pages.common.download(catalogue.drop(columns="how"), "methods_catalogue"))
-pages.provenance.provenance({"profile": profile})
+pages.provenance.provenance(page)

@@ -35,8 +35,8 @@ from IPython.display import display
 from artifact import pages
 from artifact.pages.scope import open_page
 
-page = open_page(profile, datasets, methods)
-collected = pages.opening.collect(page.manifest, page.datasets, page.methods, seed=seed)
+page = open_page(profile, datasets=datasets, methods=methods, seed=seed)
+collected = pages.opening.collect(page, seed=seed)
 
 # %% tags=["remove-input"]
 display(pages.opening.scope_notice(page))
@@ -68,6 +68,4 @@ pages.common.findings_table(collected.findings)
 #   on which machine.
 
 # %% tags=["remove-input"]
-pages.provenance.provenance(
-    {"profile": profile, "datasets": page.datasets, "methods": page.methods, "seed": seed}, *collected.studies
-)
+pages.provenance.provenance(page, *collected.studies)

@@ -30,7 +30,7 @@ from artifact import pages
 from artifact.pages.scope import open_page
 from artifact.studies import protocol
 
-page = open_page(profile, datasets, methods)
+page = open_page(profile, datasets=datasets, methods=methods, k=k, seed=seed)
 pages.protocol.protocol_table(protocol.DECISIONS)
 
 # %% [markdown]
@@ -49,6 +49,4 @@ pages.protocol.sensitivity_table(study.table, page.method_titles, k=k)
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "protocol_sensitivity"))
-pages.provenance.provenance(
-    {"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study
-)
+pages.provenance.provenance(page, study)

@@ -26,7 +26,7 @@ from IPython.display import display
 from artifact import pages, studies
 from artifact.pages.scope import open_page
 
-page = open_page(profile, datasets)
+page = open_page(profile, datasets=datasets)
 study = studies.catalogue.datasets_table(page.manifest, page.datasets)
 
 # %% tags=["remove-input", "full-width"]
@@ -49,4 +49,4 @@ pages.catalogue.reported_datasets_table()
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "tab01_datasets"))
-pages.provenance.provenance({"profile": profile, "datasets": page.datasets}, study)
+pages.provenance.provenance(page, study)

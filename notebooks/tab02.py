@@ -27,7 +27,7 @@ from IPython.display import display
 from artifact import pages, studies
 from artifact.pages.scope import open_page
 
-page = open_page(profile, datasets, methods)
+page = open_page(profile, datasets=datasets, methods=methods)
 study = studies.catalogue.methods_table(page.manifest, page.datasets, page.methods)
 
 # %% [markdown]
@@ -50,4 +50,4 @@ pages.catalogue.reported_methods_table(page.manifest, studies.catalogue.methods_
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "tab02_methods"))
-pages.provenance.provenance({"profile": profile, "datasets": page.datasets, "methods": page.methods}, study)
+pages.provenance.provenance(page, study)

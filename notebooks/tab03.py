@@ -29,12 +29,12 @@ from IPython.display import display
 from artifact import pages, studies
 from artifact.pages.scope import open_page
 
-page = open_page(profile, datasets, methods)
+page = open_page(profile, datasets=datasets, methods=methods, k=k, seed=seed)
 study = studies.recall.recall_table(page.manifest, page.datasets, page.methods, k=k, seed=seed)
 
 # %% tags=["remove-input", "full-width"]
 display(
-    pages.common.finding(
+    pages.common.findings(
         pages.recall.distractors_lower_recall(study.table, page.method_titles, k),
         pages.recall.ranking_changes(study.table, page.method_titles, k),
     )
@@ -65,6 +65,4 @@ pages.recall.reported_recall_table()
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "tab03_recall"))
-pages.provenance.provenance(
-    {"profile": profile, "datasets": page.datasets, "methods": page.methods, "k": k, "seed": seed}, study
-)
+pages.provenance.provenance(page, study)

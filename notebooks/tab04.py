@@ -32,18 +32,18 @@ from IPython.display import display
 from artifact import pages, studies
 from artifact.pages.scope import open_page
 
-page = open_page(profile, datasets, methods)
-order = studies.composition.order_of_fitting(page.manifest, page.datasets)
+page = open_page(profile, datasets=datasets, methods=methods, fraction=fraction, iterations=iterations, k=k, seed=seed)
+page = page.only(*studies.composition.order_of_fitting(page.manifest, page.datasets))
 study = studies.composition.single_against_multi(
-    page.manifest, order, page.methods, fraction=fraction, iterations=iterations, k=k, seed=seed
+    page.manifest, page.datasets, page.methods, fraction=fraction, iterations=iterations, k=k, seed=seed
 )
 summary = studies.composition.summary(study.table, ["suppression"])
 
 # %% tags=["remove-input"]
-display(pages.common.finding(pages.composition.one_transform_for_all(summary)))
+display(pages.common.findings(pages.composition.one_transform_for_all(summary)))
 display(pages.common.label(page.label))
-display(pages.composition.equivalence_table(summary, {"suppression": "Method"}, k=k))
-pages.composition.fitting_order(order, page.dataset_titles, study.table)
+display(pages.composition.equivalence_table(summary, k=k))
+pages.composition.fitting_order(list(page.dataset_titles.values()), study.table)
 
 # %% [markdown]
 # ## The paper's Table IV
@@ -55,19 +55,8 @@ pages.composition.reported_equivalence_table("tab04")
 # ## Every pair
 
 # %% tags=["remove-input", "full-width"]
-pages.composition.single_multi_table(study.table, page.method_titles, k=k)
+pages.composition.differences_table(study.table, page.method_titles, k=k)
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "tab04_multi_condition"))
-pages.provenance.provenance(
-    {
-        "profile": profile,
-        "datasets": order,
-        "methods": page.methods,
-        "fraction": fraction,
-        "iterations": iterations,
-        "k": k,
-        "seed": seed,
-    },
-    study,
-)
+pages.provenance.provenance(page, study)

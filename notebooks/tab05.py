@@ -32,20 +32,20 @@ from IPython.display import display
 from artifact import pages, studies
 from artifact.pages.scope import NothingToShowError, open_page
 
-page = open_page(profile, datasets, methods)
-order = studies.composition.order_of_fitting(page.manifest, page.datasets)
+page = open_page(profile, datasets=datasets, methods=methods, fraction=fraction, iterations=iterations, k=k, seed=seed)
+page = page.only(*studies.composition.order_of_fitting(page.manifest, page.datasets))
 study = studies.composition.irrelevant_conditions(
-    page.manifest, order, page.methods, fraction=fraction, iterations=iterations, k=k, seed=seed
+    page.manifest, page.datasets, page.methods, fraction=fraction, iterations=iterations, k=k, seed=seed
 )
 if study.table.empty:
     raise NothingToShowError("this page needs a dataset with the key irrelevant_pairs; none of this run has it")
 summary = studies.composition.summary(study.table, ["suppression", "pair"])
 
 # %% tags=["remove-input"]
-display(pages.common.finding(pages.composition.irrelevant_conditions_unharmed(summary)))
+display(pages.common.findings(pages.composition.irrelevant_conditions_unharmed(summary)))
 display(pages.common.label(page.label))
-display(pages.composition.equivalence_table(summary, {"suppression": "Method", "pair": "Condition pair"}, k=k))
-pages.composition.fitting_order(order, page.dataset_titles, study.table)
+display(pages.composition.equivalence_table(summary, k=k))
+pages.composition.fitting_order(list(page.dataset_titles.values()), study.table)
 
 # %% [markdown]
 # ## The paper's Table V
@@ -57,19 +57,8 @@ pages.composition.reported_equivalence_table("tab05")
 # ## Every method
 
 # %% tags=["remove-input", "full-width"]
-pages.composition.irrelevant_table(study.table, page.method_titles, k=k)
+pages.composition.differences_table(study.table, page.method_titles, k=k)
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "tab05_irrelevant_conditions"))
-pages.provenance.provenance(
-    {
-        "profile": profile,
-        "datasets": order,
-        "methods": page.methods,
-        "fraction": fraction,
-        "iterations": iterations,
-        "k": k,
-        "seed": seed,
-    },
-    study,
-)
+pages.provenance.provenance(page, study)

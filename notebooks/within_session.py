@@ -41,7 +41,15 @@ from IPython.display import Markdown, display
 from artifact import pages, studies
 from artifact.pages.scope import open_page
 
-page = open_page(profile, datasets, methods)
+page = open_page(
+    profile,
+    datasets=datasets,
+    methods=methods,
+    statistics=statistics,
+    fraction=fraction,
+    iterations=iterations,
+    seed=seed,
+)
 study = studies.within_session.within_session(
     page.manifest, page.datasets, page.methods, statistics, fraction=fraction, iterations=iterations, seed=seed
 )
@@ -63,15 +71,4 @@ pages.within_session.within_table(study.table, page.method_titles)
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "within_session"))
-pages.provenance.provenance(
-    {
-        "profile": profile,
-        "datasets": page.datasets,
-        "methods": page.methods,
-        "statistics": statistics,
-        "fraction": fraction,
-        "iterations": iterations,
-        "seed": seed,
-    },
-    study,
-)
+pages.provenance.provenance(page, study)

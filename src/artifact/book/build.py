@@ -87,16 +87,7 @@ def build(manifest: Manifest) -> tuple[Path, float | None]:
 def _build_strictly(source: Path) -> None:
     # --all: without it a second build of the same faulty book passes.
     program = str(Path(sys.executable).with_name("jupyter-book"))
-    command = [
-        program,
-        "build",
-        str(source),
-        "--all",
-        "-W",
-        "-n",
-        "--keep-going",
-        "-q",
-    ]
+    command = [program, "build", str(source), "--all", "-W", "-n", "--keep-going", "-q"]
     done = subprocess.run(
         command, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONWARNINGS": "ignore"}
     )

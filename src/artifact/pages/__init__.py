@@ -1,6 +1,6 @@
 """Tables, figures and findings as a reader of the book sees them: one module per subject, as in ``studies``."""
 
-from artifact.pages import (
+from artifact.pages import (  # noqa: F401
     catalogue,
     common,
     composition,
@@ -19,23 +19,3 @@ from artifact.pages import (
     suppression,
     within_session,
 )
-
-__all__ = [
-    "catalogue",
-    "common",
-    "composition",
-    "diagram",
-    "distractors",
-    "embedding",
-    "erased",
-    "galleries",
-    "mixed_database",
-    "opening",
-    "protocol",
-    "provenance",
-    "recall",
-    "scope",
-    "style",
-    "suppression",
-    "within_session",
-]

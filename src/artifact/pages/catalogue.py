@@ -1,4 +1,4 @@
-"""The page on the paper's methods: their weights, their equality with the authors' models, their speed."""
+"""Tables I and II, and the page on the paper's methods: their weights, their equality with the authors' models."""
 
 from __future__ import annotations
 
@@ -6,25 +6,63 @@ import pandas as pd
 from IPython.display import HTML
 
 from artifact.manifest import Manifest
-from artifact.pages.common import number, table
+from artifact.pages.common import or_dash, shown, table, whole
 from artifact.studies import reported
 from artifact.studies.catalogue import input_in_words
+
+_KINDS = {"baseline": "baseline", "paper": "method of the paper"}
+_DATASETS = {
+    "Dataset": "title",
+    "Query": "query",
+    "Database": "database",
+    "#Query": ("queries", "{:,}".format),
+    "evaluated": ("evaluated", "{:,}".format),
+    "#Database": ("database_images", "{:,}".format),
+    "Threshold": "threshold",
+    "Positives": ("positives", "{:g}".format),
+    "Condition shift": "shift",
+    "Images": "images",
+    "Mirrors": ("mirrors", or_dash),
+}
+_METHODS = {
+    "Method": "title",
+    "Kind": ("kind", _KINDS.__getitem__),
+    "Backbone": "backbone",
+    "Aggregation": "aggregation",
+    "Dim": "dimension",
+    "Train data": "train_data",
+    "Re-rank": "rerank",
+    "Input": "input",
+    "Batch": "batch_size",
+    "Images per second": ("images_per_second", whole),
+    "Busy %": ("busy", whole),
+    "Device": "device",
+    "Licence": "licence",
+}
+_WEIGHTS = {
+    "Method": "title",
+    "Parameters (M)": ("parameters", lambda n: f"{n / 1e6:.1f}"),
+    "Dim": "dimension",
+    "Weights here": "weights",
+    "Licence of the code": "code_licence",
+    "Licence of the weights": "weights_licence",
+    "Terms": ("terms", or_dash),
+}
+_PARITY = {
+    "Method": "title",
+    "Output": "output",
+    "Images": ("images", lambda size: size.replace("x", "×")),
+    "Values": ("compared", "{:,}".format),
+    "Largest difference": ("max_abs", "{:.1e}".format),
+    "Limit": ("limit_abs", "{:g}".format),
+    "Largest L2": ("max_l2", "{:.1e}".format),
+    "Limit of L2": ("limit_l2", lambda v: "–" if pd.isna(v) else f"{v:g}"),
+}
 
 
 def catalogue_table(frame: pd.DataFrame) -> HTML:
     """Show size, licences and the state of the weights of the paper's methods."""
-    shown = pd.DataFrame(
-        {
-            "Method": frame["title"],
-            "Parameters (M)": (frame["parameters"] / 1e6).map("{:.1f}".format),
-            "Dim": frame["dimension"],
-            "Weights here": frame["weights"],
-            "Licence of the code": frame["code_licence"],
-            "Licence of the weights": frame["weights_licence"],
-            "Terms": frame["terms"].replace("", "–"),
-        }
-    )
-    return table(shown, numeric=["Parameters (M)", "Dim"])
+    return table(shown(frame, _WEIGHTS), numeric=["Parameters (M)", "Dim"])
 
 
 def how_to_get(frame: pd.DataFrame) -> str:
@@ -38,79 +76,24 @@ def how_to_get(frame: pd.DataFrame) -> str:
 
 def parity_table(frame: pd.DataFrame) -> HTML:
     """Show the recorded differences from the authors' models beside the limits of the tests."""
-    shown = pd.DataFrame(
-        {
-            "Method": frame["title"],
-            "Output": frame["output"],
-            "Images": frame["images"].str.replace("x", "×"),
-            "Values": frame["compared"].map("{:,}".format),
-            "Largest difference": frame["max_abs"].map("{:.1e}".format),
-            "Limit": frame["limit_abs"].map("{:g}".format),
-            "Largest L2": frame["max_l2"].map("{:.1e}".format),
-            "Limit of L2": frame["limit_l2"].map(lambda v: "–" if pd.isna(v) else f"{v:g}"),
-        }
-    )
     note = f"Recorded with PyTorch {frame['torch'].iloc[0]} on {frame['machine'].iloc[0]}, in float32."
-    return table(shown, numeric=list(shown.columns[3:]), caption=note)
+    return table(shown(frame, _PARITY), text=3, caption=note)
 
 
-def datasets_table(frame: pd.DataFrame) -> HTML:
+def datasets_table(frame: pd.DataFrame, caption: str = "Datasets of this run.") -> HTML:
     """Show Table I for the datasets of this run."""
-    shown = pd.DataFrame(
-        {
-            "Dataset": frame["title"],
-            "Query": frame["query"],
-            "Database": frame["database"],
-            "#Query": frame["queries"].map("{:,}".format),
-            "evaluated": frame["evaluated"].map("{:,}".format),
-            "#Database": frame["database_images"].map("{:,}".format),
-            "Threshold": frame["threshold"],
-            "Positives": frame["positives"].map("{:g}".format),
-            "Condition shift": frame["shift"],
-            "Images": frame["images"],
-            "Mirrors": frame["mirrors"].replace("", "–"),
-        }
-    )
-    return table(shown, numeric=["#Query", "evaluated", "#Database", "Positives"], caption="Datasets of this run.")
+    return table(shown(frame, _DATASETS), numeric=["#Query", "evaluated", "#Database", "Positives"], caption=caption)
 
 
 def reported_datasets_table() -> HTML:
     """Show the paper's Table I."""
-    frame = reported.table("tab01")
-    shown = pd.DataFrame(
-        {
-            "Dataset": frame["title"],
-            "Query": frame["query"],
-            "Database": frame["database"],
-            "#Query": frame["queries"].map("{:,}".format),
-            "#Database": frame["database_images"].map("{:,}".format),
-            "Threshold": frame["threshold"],
-            "Condition shift": frame["shift"],
-        }
-    )
-    return table(shown, numeric=["#Query", "#Database"], caption="Reported by the paper.")
+    return datasets_table(reported.table("tab01"), "Reported by the paper.")
 
 
 def methods_table(frame: pd.DataFrame) -> HTML:
     """Show Table II for the methods of this run."""
-    shown = pd.DataFrame(
-        {
-            "Method": frame["title"],
-            "Kind": frame["kind"].map({"baseline": "baseline", "paper": "method of the paper"}),
-            "Backbone": frame["backbone"],
-            "Aggregation": frame["aggregation"],
-            "Dim": frame["dimension"],
-            "Train data": frame["train_data"],
-            "Re-rank": frame["rerank"],
-            "Input": frame["input"],
-            "Batch": frame["batch_size"],
-            "Images per second": frame["images_per_second"].map(lambda v: number(v, digits=0)),
-            "Busy %": frame["busy"].map(lambda v: number(v, digits=0)),
-            "Device": frame["device"],
-            "Licence": frame["licence"],
-        }
-    )
-    return table(shown, numeric=["Dim", "Batch", "Images per second", "Busy %"], caption="Methods of this run.")
+    numeric = ["Dim", "Batch", "Images per second", "Busy %"]
+    return table(shown(frame, _METHODS), numeric=numeric, caption="Methods of this run.")
 
 
 def reported_methods_table(manifest: Manifest, catalogue: pd.DataFrame) -> HTML:
@@ -126,17 +109,11 @@ def reported_methods_table(manifest: Manifest, catalogue: pd.DataFrame) -> HTML:
     frame = reported.table("tab02")
     entries = [manifest.methods.get(name) for name in frame["method"]]
     ours = catalogue.set_index("method").reindex(frame["method"])
-    shown = pd.DataFrame(
+    added = pd.DataFrame(
         {
-            "Method": frame["title"],
-            "Backbone": frame["backbone"],
-            "Aggregation": frame["aggregation"],
-            "Dim": frame["dimension"],
-            "Train data": frame["train_data"],
-            "Re-rank": frame["rerank"],
             "Input": [input_in_words(e.preprocessing) if e else "–" for e in entries],
             "Batch": [f"{e.batch_size}{' ‡' if e.batch_dependent else ''}" if e else "–" for e in entries],
-            "Parameters (M)": ["–" if pd.isna(n) else f"{n / 1e6:.0f}" for n in ours["parameters"]],
+            "Parameters (M)": [whole(n / 1e6) for n in ours["parameters"]],
             "Seconds an image": ["–" if pd.isna(n) else f"{n:.3g}" for n in ours["seconds"]],
             "Licence": ours["code_licence"].fillna("–").tolist(),
             "Weights here": ours["weights"].fillna("–").tolist(),
@@ -147,4 +124,5 @@ def reported_methods_table(manifest: Manifest, catalogue: pd.DataFrame) -> HTML:
         "Reported by the paper up to re-ranking; the columns after it are this artifact's. ‡ descriptors depend on the batch. "
         f"Seconds an image: of the model on this machine, for a photograph of 480 × 640 pixels{how}."
     )
-    return table(shown, numeric=["Dim", "Batch", "Parameters (M)", "Seconds an image"], caption=note)
+    both = pd.concat([shown(frame, _METHODS), added], axis=1)
+    return table(both, numeric=["Dim", "Batch", "Parameters (M)", "Seconds an image"], caption=note)

@@ -1,14 +1,20 @@
-"""The parts that all pages share: claims with verdicts, plain tables, numbers, downloads."""
+"""The parts that all pages share: claims with verdicts, plain tables, numbers, downloads.
+
+Text that comes from a manifest, a folder or a run is escaped in one place, :func:`markup`.
+"""
 
 from __future__ import annotations
 
 import base64
-import html
-from collections.abc import Iterable, Sequence
+import functools
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, ParamSpec
 
 import pandas as pd
 from IPython.display import HTML
+from markupsafe import Markup
 
 CLEARLY_PP = 10.0
 """Difference in percentage points that counts as "well below" or "large"; the paper gives no number."""
@@ -17,21 +23,36 @@ SIMILAR_PP = 5.0
 """Difference in R@1 in percentage points up to which two methods count as similar."""
 
 PAGES = {
-    "fig02": "Fig. 2",
+    **{f"fig{number:02}": f"Fig. {number}" for number in (2, 5, 6, 7, 8, 9, 10)},
     "tab03": "Table III",
-    "fig05": "Fig. 5",
-    "fig06": "Fig. 6",
-    "fig07": "Fig. 7",
-    "fig08": "Fig. 8",
-    "fig09": "Fig. 9",
     "tab04": "Table IV",
     "tab05": "Table V",
-    "fig10": "Fig. 10",
 }
 """Notebooks that show a finding, with their printed titles."""
 
 _SHORT = 24  # characters that a table cell keeps on one line
 _TALL = 30  # rows from which on a table scrolls in a box of its own
+_VERDICTS = {True: ("agrees", "agrees"), False: ("does not agree", "disagrees"), None: ("cannot tell", "open")}
+
+
+def markup(template: str, *values: Any, **named: Any) -> HTML:
+    """Fill a template of HTML; every value is escaped, but for those that are HTML already.
+
+    Examples
+    --------
+    >>> markup("<b>{}</b>: {}", "a < b", markup("<i>fine</i>")).data
+    '<b>a &lt; b</b>: <i>fine</i>'
+    """
+    safe = [Markup(value.data) if isinstance(value, HTML) else value for value in values]
+    return HTML(str(Markup(template).format(*safe, **named)))
+
+
+def join(parts: Iterable[HTML]) -> HTML:
+    """Put pieces of HTML one after another."""
+    return HTML("".join(part.data for part in parts))
+
+
+# -- claims -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -62,44 +83,66 @@ class Finding:
     agrees: bool | None
 
 
-def finding(*findings: Finding) -> HTML:
+_P = ParamSpec("_P")
+
+
+def claim(
+    page: str, text: str, *, paper: str, rule: str
+) -> Callable[[Callable[_P, tuple[str, bool | None]]], Callable[_P, Finding]]:
+    """Make a :class:`Finding` of a function that returns what a run measured and whether that agrees with a claim.
+
+    ``R@K`` and ``DAR@K`` in claim and rule become those of the function's parameter ``k``.
+    """
+
+    def decorate(measure: Callable[_P, tuple[str, bool | None]]) -> Callable[_P, Finding]:
+        signature = inspect.signature(measure)
+
+        @functools.wraps(measure)
+        def finding(*args: _P.args, **options: _P.kwargs) -> Finding:
+            bound = signature.bind(*args, **options)
+            bound.apply_defaults()
+            at = f"R@{bound.arguments.get('k', 1)}"
+            return Finding(page, text.replace("R@K", at), paper, rule.replace("R@K", at), *measure(*args, **options))
+
+        return finding
+
+    return decorate
+
+
+def findings(*found: Finding) -> HTML:
     """Show claims of the paper, what this run measured, and whether they agree."""
-    return HTML("".join(_one_finding(item) for item in findings))
-
-
-def _one_finding(item: Finding) -> str:
-    rows = {
-        "Claim": html.escape(item.claim),
-        "Paper": html.escape(item.paper),
-        "Agrees if": html.escape(item.rule),
-        "This run": f"{html.escape(item.found)} {_agreement(item.agrees)}",
-    }
-    listed = "".join(
-        f'<div class="line"><span class="tag">{tag}</span><span>{text}</span></div>' for tag, text in rows.items()
+    line = '<div class="line"><span class="tag">{}</span><span>{}</span></div>'
+    return join(
+        markup(
+            f'<div class="claim">{4 * line}</div>',
+            *("Claim", one.claim, "Paper", one.paper, "Agrees if", one.rule),
+            *("This run", markup("{} {}", one.found, _agreement(one.agrees))),
+        )
+        for one in found
     )
-    return f'<div class="claim">{listed}</div>'
 
 
-def _agreement(agrees: bool | None) -> str:
-    label, style = {
-        True: ("agrees", "agrees"), False: ("does not agree", "disagrees"), None: ("cannot tell", "open"),
-    }[agrees]  # fmt: skip
-    return f'<span class="verdict {style}">{label}</span>'
+def _agreement(agrees: bool | None) -> HTML:
+    text, style = _VERDICTS[agrees]
+    return markup('<span class="verdict {}">{}</span>', style, text)
 
 
-def findings_table(findings: Sequence[Finding]) -> HTML:
+def findings_table(found: Sequence[Finding]) -> HTML:
     """Show all findings as one table with links to their pages."""
     rows = [
         {
-            "Claim": html.escape(item.claim),
-            "The paper": html.escape(item.paper),
-            "This run": html.escape(item.found),
-            "Verdict": _agreement(item.agrees),
-            "Page": f'<a href="{item.page}.html">{PAGES[item.page]}</a>',
+            "Claim": one.claim,
+            "The paper": one.paper,
+            "This run": one.found,
+            "Verdict": _agreement(one.agrees),
+            "Page": markup('<a href="{}.html">{}</a>', one.page, PAGES[one.page]),
         }
-        for item in findings
+        for one in found
     ]
-    return table(pd.DataFrame(rows), escape=False, classes="findings")
+    return table(rows, classes="findings")
+
+
+# -- numbers ------------------------------------------------------------------------------------------------
 
 
 def number(value: float, *, digits: int | None = None) -> str:
@@ -117,31 +160,97 @@ def number(value: float, *, digits: int | None = None) -> str:
     return f"{value:.{digits}f}"
 
 
+def whole(value: float) -> str:
+    """Print a number without decimals."""
+    return number(value, digits=0)
+
+
+def change(value: float, *, digits: int = 1) -> str:
+    """Print a difference in percentage points with its sign.
+
+    Examples
+    --------
+    >>> change(1.24), change(-0.04), change(float("nan"))
+    ('+1.2', '0.0', '–')
+    """
+    if pd.isna(value):
+        return "–"
+    rounded = round(value, digits)
+    return f"{rounded:+.{digits}f}" if rounded else f"{0:.{digits}f}"
+
+
 def interval(low: float, high: float) -> str:
     """Print an interval in percent."""
     return f"[{number(low, digits=1)}, {number(high, digits=1)}]"
 
 
+def listed(names: Sequence[str], before: str = "") -> str:
+    """Return names in brackets after a space, or nothing if there are none.
+
+    Examples
+    --------
+    >>> listed(["HOG", "SALAD"], "not "), listed([])
+    (' (not HOG, SALAD)', '')
+    """
+    return f" ({before}{', '.join(names)})" if names else ""
+
+
+def or_dash(text: str) -> str:
+    """Print a dash for an empty text."""
+    return text or "–"
+
+
+# -- tables -------------------------------------------------------------------------------------------------
+
+Columns = Mapping[str, str | tuple[str, Callable[[Any], str]]]
+"""Headings of a shown table: each with the column of the frame, and how to print its values if not as they are."""
+
+
+def shown(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
+    """Return a frame's columns as they are printed, under their headings; a column that it lacks is left out."""
+    pairs = {heading: (source, str) if isinstance(source, str) else source for heading, source in columns.items()}
+    return pd.DataFrame({h: frame[name].map(print_) for h, (name, print_) in pairs.items() if name in frame})
+
+
 def table(
-    frame: pd.DataFrame, *, numeric: Iterable[str] = (), caption: str = "", classes: str = "", escape: bool = True
-) -> HTML:  # fmt: skip
-    """Show a frame as a plain table; columns named in ``numeric`` are set flush right."""
-    right = set(numeric)
-    styles = {column: "right" if column in right else _text_style(frame[column]) for column in frame.columns}
-    head = "".join(f'<th class="{styles[c]}">{html.escape(str(c))}</th>' for c in frame.columns)
-    body = "".join(
-        "<tr>"
-        + "".join(
-            f'<td class="{styles[column]}">{html.escape(str(value)) if escape else value}</td>'
-            for column, value in zip(frame.columns, row, strict=True)
-        )
-        + "</tr>"
+    rows: pd.DataFrame | Sequence[Mapping[str, Any]],
+    *,
+    text: int | None = None,
+    numeric: Iterable[str] = (),
+    caption: str = "",
+    classes: str = "",
+) -> HTML:
+    """Show rows as a plain table.
+
+    Parameters
+    ----------
+    rows
+        A frame, or one mapping by heading for each row.
+    text
+        How many of the first columns hold text, if all others hold numbers, which are set flush right.
+    numeric
+        Else the columns of numbers by heading.
+    caption
+        Printed above.
+    classes
+        Further CSS classes.
+    """
+    frame = pd.DataFrame(rows)
+    right = set(numeric if text is None else frame.columns[text:])
+    styles = ["right" if column in right else _text_style(frame[column]) for column in frame.columns]
+    head = join(markup('<th class="{}">{}</th>', *pair) for pair in zip(styles, frame.columns, strict=True))
+    body = join(
+        markup("<tr>{}</tr>", join(markup('<td class="{}">{}</td>', *p) for p in zip(styles, row, strict=True)))
         for row in frame.itertuples(index=False)
     )
-    text = f"<caption>{caption}</caption>" if caption else ""
-    inner = f"{text}<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
-    tall = " tall" if len(frame) > _TALL else ""
-    return HTML(f'<div class="scroll{tall}"><table class="results {classes}">{inner}</table></div>')
+    return markup(
+        '<div class="scroll{}"><table class="results {}">{}<thead><tr>{}</tr></thead><tbody>{}</tbody></table></div>',
+        " tall" if len(frame) > _TALL else "",
+        classes,
+        markup("<caption>{}</caption>", caption) if caption else "",
+        head,
+        body,
+    )
 
 
 def _text_style(column: pd.Series) -> str:
@@ -160,35 +269,24 @@ def marks(values: Sequence[float]) -> list[str]:
     levels = sorted({value for value in values if not pd.isna(value)}, reverse=True)
     if len(levels) < 2:
         return ["" for _ in values]
-    named = {levels[-1]: "worst", levels[1]: "second", levels[0]: "best"}
-    if len(levels) == 2:
-        named[levels[1]] = "worst"
+    named = {levels[1]: "second", levels[-1]: "worst", levels[0]: "best"}
     return [named.get(value, "") for value in values]
+
+
+# -- lines of text ------------------------------------------------------------------------------------------
 
 
 def label(text: str) -> HTML:
     """Show the line that says what the numbers are from."""
-    return HTML(f'<p class="origin">{html.escape(text)}</p>')
+    return markup('<p class="origin">{}</p>', text)
 
 
 def download(frame: pd.DataFrame, name: str) -> HTML:
     """Offer a frame as a CSV file that is embedded in the page."""
-    text = base64.b64encode(frame.to_csv(index=False).encode()).decode()
-    return HTML(
-        f'<p class="download"><a download="{name}.csv" href="data:text/csv;base64,{text}">Download the data behind '
-        f"this page</a> ({name}.csv, {len(frame)} rows)</p>"
+    return markup(
+        '<p class="download"><a download="{name}.csv" href="data:text/csv;base64,{data}">Download the data behind '
+        "this page</a> ({name}.csv, {rows} rows)</p>",
+        name=name,
+        data=base64.b64encode(frame.to_csv(index=False).encode()).decode(),
+        rows=len(frame),
     )
-
-
-def change(value: float, *, digits: int = 1) -> str:
-    """Print a difference in percentage points with its sign.
-
-    Examples
-    --------
-    >>> change(1.24), change(-0.04), change(float("nan"))
-    ('+1.2', '0.0', '–')
-    """
-    if pd.isna(value):
-        return "–"
-    rounded = round(value, digits)
-    return f"{rounded:+.{digits}f}" if rounded else f"{0:.{digits}f}"

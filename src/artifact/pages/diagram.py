@@ -7,18 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
 
-from artifact.pages.style import (
-    DATABASE_COLOUR,
-    DISTRACTOR_COLOUR,
-    embed,
-)
+from artifact.pages.style import DATABASE_COLOUR, DISTRACTOR_COLOUR, embed
 
 _CROSS = [(-3.9, 2.3), (1.5, -3.7), (4.4, 0.3), (-4.2, -1.1)]
-
-
 _DISTRACTORS = [(4.0, 1.8), (3.6, -2.4), (-2.7, -3.3)]
-
-
 _POSITIVES = [(1.5, 1.6), (-1.7, 1.3), (-0.9, -1.9)]
 
 
@@ -27,33 +19,16 @@ def retrieval_diagram() -> HTML:
     figure = Figure(figsize=(7.2, 3.9))
     for axes, title, extra in zip(figure.subplots(1, 2), ("(a) Recall", "(b) DAR"), ([], _DISTRACTORS), strict=True):
         axes.add_patch(Circle((0, 0), 2.8, facecolor="#e7f5e9", edgecolor="#2e7d32", linestyle="--", linewidth=1.4))
-        for places, size, colour in (
-            (_CROSS, 0.6, DATABASE_COLOUR),
-            (_POSITIVES, 0.66, DATABASE_COLOUR),
-            (extra, 0.6, DISTRACTOR_COLOUR),
-        ):
-            for x, y in places:
-                axes.add_patch(
-                    Rectangle(
-                        (x - size / 2, y - 0.36 * size),
-                        size,
-                        0.74 * size,
-                        facecolor=colour,
-                        edgecolor="black",
-                        linewidth=0.7,
-                    )
-                )
+        _places(axes, _CROSS, 0.6, DATABASE_COLOUR)
+        _places(axes, _POSITIVES, 0.66, DATABASE_COLOUR)
+        _places(axes, extra, 0.6, DISTRACTOR_COLOUR)
         _robot(axes)
         axes.text(0, -2.45, "threshold", ha="center", va="center", fontsize=7.5, color="#2e7d32")
         axes.set(xlim=(-5.1, 5.3), ylim=(-4.4, 3.6), aspect="equal", title=title)
         axes.set_axis_off()
-        axes.add_patch(
-            FancyBboxPatch((-5.0, -4.3), 10.2, 7.8, boxstyle="round,pad=0,rounding_size=0.2", fill=False, linewidth=0.8)
-        )
-    handles = [
-        Rectangle((0, 0), 1, 1, facecolor=DATABASE_COLOUR, edgecolor="black", linewidth=0.7),
-        Rectangle((0, 0), 1, 1, facecolor=DISTRACTOR_COLOUR, edgecolor="black", linewidth=0.7),
-    ]
+        border = {"boxstyle": "round,pad=0,rounding_size=0.2", "fill": False, "linewidth": 0.8}
+        axes.add_patch(FancyBboxPatch((-5.0, -4.3), 10.2, 7.8, **border))
+    handles = [_place(0, 0, 1, colour) for colour in (DATABASE_COLOUR, DISTRACTOR_COLOUR)]
     figure.legend(handles, ["Cross-condition database", "Distractors (query's condition)"], loc="lower center", ncols=2)
     figure.tight_layout(rect=(0, 0.07, 1, 1))
     return embed(
@@ -62,6 +37,17 @@ def retrieval_diagram() -> HTML:
         "query's own condition are added outside the threshold circle.",
         width=720,
     )
+
+
+def _places(axes: Axes, places: list[tuple[float, float]], size: float, colour: str) -> None:
+    for x, y in places:
+        axes.add_patch(_place(x, y, size, colour))
+
+
+def _place(x: float, y: float, size: float, colour: str) -> Rectangle:
+    """An image of the database around a place."""
+    corner = x - size / 2, y - 0.36 * size
+    return Rectangle(corner, size, 0.74 * size, facecolor=colour, edgecolor="black", linewidth=0.7)
 
 
 def _robot(axes: Axes) -> None:

@@ -10,31 +10,30 @@ from IPython.display import HTML
 from matplotlib.figure import Figure
 
 from artifact.pages.common import number, table
-from artifact.pages.style import embed, percent_axis
+from artifact.pages.style import embed, legend_below, percent_axis
 from artifact.studies.common import PERCENT
 from artifact.studies.erased import KINDS, Erased
+
+_KIND_COLOURS = dict(zip(KINDS, ("#2e8b57", "#0000ff", "#ffa500"), strict=True))
 
 
 def erased_table(erased: Erased) -> HTML:
     """Show R@1 and DAR@1 of the original and the suppressed descriptors, and what happens to queries taken."""
     rows = []
     for view, result in erased.evaluations.items():
-        taken, recovered = erased.lost_and_recovered(view) if view != "original" else ((), ())
+        taken, recovered = map(len, erased.lost_and_recovered(view))
         rows.append(
             {
                 "Descriptors": view,
                 "R@1 %": number(PERCENT * result.recall(1)),
                 "DAR@1 %": number(PERCENT * result.dar(1)),
                 "RSR@1 %": number(PERCENT * result.rsr(1)),
-                "given back": f"{len(recovered)} of {len(taken)}" if view != "original" else "–",
+                "given back": f"{recovered} of {taken}" if view != "original" else "–",
             }
         )
-    shown = pd.DataFrame(rows)
     fit, n = erased.split, erased.evaluations["original"].n_queries
-    caption = (
-        f"{n} queries evaluated; fitted on {len(fit.fit_queries)} queries and {len(fit.fit_database)} database images."
-    )
-    return table(shown, numeric=list(shown.columns[1:]), caption=caption)
+    fitted = f"fitted on {len(fit.fit_queries)} queries and {len(fit.fit_database)} database images"
+    return table(rows, text=1, caption=f"{n} queries evaluated; {fitted}.")
 
 
 def erased_similarities(erased: Erased) -> str:
@@ -61,20 +60,19 @@ def iterations(table: pd.DataFrame) -> HTML:
     """
     figure = Figure(figsize=(7.2, 3.1))
     axes = figure.subplots()
-    for column, label, colour in (
-        ("R", "R@1", "#2e8b57"), ("DAR", "DAR@1", "#1f77b4"), ("accuracy", "classifier, training accuracy", "0.55"),
-    ):  # fmt: skip
+    curves = {
+        "R": ("R@1", "#2e8b57"),
+        "DAR": ("DAR@1", "#1f77b4"),
+        "accuracy": ("classifier, training accuracy", "0.55"),
+    }
+    for column, (label, colour) in curves.items():
         axes.plot(table["iteration"], table[column], color=colour, marker="o", markersize=3, label=label)
     axes.axhline(50, linestyle=":", color="0.55", linewidth=0.9)
     axes.set_xlabel("INLP iterations")
     percent_axis(axes, "percent")
     figure.tight_layout()
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3)
+    legend_below(figure)
     return embed(figure, "R@1, DAR@1 and training accuracy after each INLP iteration")
-
-
-_KIND_COLOURS = dict(zip(KINDS, ("#2e8b57", "#0000ff", "#ffa500"), strict=True))
 
 
 def similarities(found: Mapping[str, Mapping[str, np.ndarray]], views: Sequence[str]) -> HTML:
@@ -90,10 +88,8 @@ def similarities(found: Mapping[str, Mapping[str, np.ndarray]], views: Sequence[
             axes.fill_between(centres, height, color=_KIND_COLOURS[kind], alpha=0.25, linewidth=0)
             axes.plot(centres, height, color=_KIND_COLOURS[kind], linewidth=1.2, label=kind)
             axes.axvline(np.median(values), color=_KIND_COLOURS[kind], linewidth=0.9, linestyle=":")
-        axes.set(title=view, yticks=[], ylim=(0, None))
-        axes.set_xlabel("cosine similarity")
+        axes.set(title=view, yticks=[], ylim=(0, None), xlabel="cosine similarity")
     panels[0].set_ylabel("share of pairs")
     figure.tight_layout()
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3)
+    legend_below(figure)
     return embed(figure, f"Distributions of the cosine for {len(KINDS)} kinds of pairs: {', '.join(views)}")

@@ -12,15 +12,20 @@ from matplotlib.text import Annotation
 from artifact.datasets import Dataset, Traversal
 from artifact.datasets.images import read_image
 from artifact.metrics.evaluation import Evaluation
+from artifact.pages.common import markup
 from artifact.pages.style import QUERY_COLOUR, RIGHT_COLOUR, WRONG_COLOUR, embed, show_image
 from artifact.studies.erased import Erased
 from artifact.studies.evaluated import Measured
 
 _WIDTH = 320  # pixels of a picture in a sheet
+_UNITS = {"metres": "m", "frames": "frames", "pairs": "pairs"}
+
+Shown = tuple[Traversal, int, str]
+"""An image of a strip: traversal, index, colour of its frame."""
 
 
-def contact_sheet(dataset: Dataset, n: int = 5, names: Sequence[str] | None = None) -> HTML:
-    """Show the same places in every traversal: a row per traversal, a column per place.
+def contact_sheet(dataset: Dataset, n: int = 5) -> HTML:
+    """Show the same places in every loaded traversal that has images: a row per traversal, a column per place.
 
     Parameters
     ----------
@@ -28,29 +33,20 @@ def contact_sheet(dataset: Dataset, n: int = 5, names: Sequence[str] | None = No
         With the traversals to show loaded.
     n
         Places, evenly spaced along the query traversal.
-    names
-        Traversals; default all that are loaded and have images, the query first.
     """
-    rows = [t for name, t in dataset.traversals.items() if (names is None or name in names) and t.has_images]
+    rows = [traversal for traversal in dataset.traversals.values() if traversal.has_images]
     if not rows:
-        return HTML(f"<p>The images of {dataset.title} are not on this machine.</p>")
+        return _not_here(dataset)
     places = np.linspace(0, len(dataset.query) - 1, n + 2).round().astype(int)[1:-1]
     figure = Figure(figsize=(2.15 * n, 1.72 * len(rows)))
     axes = figure.subplots(len(rows), n, squeeze=False)
     for row, traversal in zip(axes, rows, strict=True):
         for panel, place in zip(row, places, strict=True):
-            index = nearest(traversal, dataset.query.positions[place])
-            show_image(panel, picture(traversal, index))
-        row[0].set_ylabel(
-            f"{traversal.name}\n{traversal.condition}" if traversal.name != traversal.condition else traversal.name,
-            fontsize=8,
-        )
+            show_image(panel, picture(traversal, nearest(traversal, dataset.query.positions[place])))
+        row[0].set_ylabel("\n".join(dict.fromkeys([traversal.name, traversal.condition])), fontsize=8)
     figure.subplots_adjust(left=0.05, right=1, top=1, bottom=0, wspace=0.02, hspace=0.03)
-    return embed(
-        figure,
-        f"{n} places of {dataset.title} in the traversals {', '.join(t.name for t in rows)}",
-        form="jpeg",
-    )
+    text = f"{n} places of {dataset.title} in the traversals {', '.join(t.name for t in rows)}"
+    return embed(figure, text, form="jpeg")
 
 
 def nearest(traversal: Traversal, position: np.ndarray) -> int:
@@ -72,49 +68,43 @@ def distractor_story(measured: Measured) -> HTML:
     hold retrieval lists of the query pool.
     """
     result, dataset = measured.evaluation, measured.dataset
-    missing = _missing(dataset)
-    if missing:
-        return missing
     lost = _lost(result)
-    if not len(lost):
-        return HTML("<p>No query of this evaluation loses its place to a distractor.</p>")
+    if nothing := _nothing_to_show(dataset, lost):
+        return nothing
     top, cosine = result.retrieved(1, distractors=True)
     place, alone = result.retrieved(1, distractors=False)
     margins = cosine[lost, 0] - alone[lost, 0]
     query = lost[np.argsort(margins, kind="stable")[len(lost) // 2]]
     distractor = int(top[query, 0]) - result.ranking.n_database
     away = _away(dataset, result, query, distractor)
-    figure = Figure(figsize=(7.4, 4.3))
-    boxes = [(0.02, 0.24, 0.36, 0.5), (0.62, 0.53, 0.36, 0.42), (0.62, 0.03, 0.36, 0.42)]
-    conditions = dataset.query.condition, dataset.database.condition
-    shown = [
-        (dataset.query, int(result.evaluated[query]), QUERY_COLOUR, f"query ({conditions[0]})"),
-        (dataset.database, int(place[query, 0]), RIGHT_COLOUR, f"the same place ({conditions[1]})"),
-        (
-            dataset.query,
-            int(result.evaluated[distractor]),
-            WRONG_COLOUR,
-            f"a distractor: {away} away ({conditions[0]})",
-        ),
+    by_query, by_database = dataset.query.condition, dataset.database.condition
+    images = [int(result.evaluated[query]), int(place[query, 0]), int(result.evaluated[distractor])]
+    panels = [
+        ((0.02, 0.24, 0.36, 0.5), dataset.query, QUERY_COLOUR, f"query ({by_query})"),
+        ((0.62, 0.53, 0.36, 0.42), dataset.database, RIGHT_COLOUR, f"the same place ({by_database})"),
+        ((0.62, 0.03, 0.36, 0.42), dataset.query, WRONG_COLOUR, f"a distractor: {away} away ({by_query})"),
     ]
-    for box, (traversal, index, colour, title) in zip(boxes, shown, strict=True):
+    figure = Figure(figsize=(7.4, 4.3))
+    for (box, traversal, colour, title), index in zip(panels, images, strict=True):
         axes = figure.add_axes(box)
         show_image(axes, picture(traversal, index), colour)
         axes.set_title(title, fontsize=9.5, pad=4)
-    for y, value, colour in ((0.68, alone[query, 0], RIGHT_COLOUR), (0.3, cosine[query, 0], WRONG_COLOUR)):
-        arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 2 + 2 * (colour == WRONG_COLOUR)}
-        figure.add_artist(
-            Annotation("", (0.61, y), (0.39, 0.49), xycoords="figure fraction", arrowprops=arrow, annotation_clip=False)
-        )
-        figure.text(
-            0.5, 0.49 + 0.62 * (y - 0.49) + (0.07 if y > 0.49 else -0.07), f"cosine {value:.3f}", ha="center",
-            va="center", fontsize=10, color=colour, weight="bold",
-        )  # fmt: skip
+    _similarity_arrow(figure, 0.68, 0.6778, alone[query, 0], RIGHT_COLOUR, 2)
+    _similarity_arrow(figure, 0.3, 0.3022, cosine[query, 0], WRONG_COLOUR, 4)
     text = (
         f"A query of {dataset.title}; the image of its place has cosine {alone[query, 0]:.3f}, a distractor {away} "
         f"away has {cosine[query, 0]:.3f}"
     )
     return embed(figure, text, form="jpeg", width=760)
+
+
+def _similarity_arrow(figure: Figure, end: float, beside: float, cosine: float, colour: str, width: float) -> None:
+    """Draw an arrow from the query to the height ``end``, with its similarity at the height ``beside``."""
+    arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": width}
+    ends, within = [(0.61, end), (0.39, 0.49)], {"xycoords": "figure fraction", "annotation_clip": False}
+    figure.add_artist(Annotation("", *ends, arrowprops=arrow, **within))
+    style = {"ha": "center", "va": "center", "fontsize": 10, "weight": "bold"}
+    figure.text(0.5, beside, f"cosine {cosine:.3f}", color=colour, **style)
 
 
 def recovered_strips(erased: Erased, view: str, n: int = 4) -> HTML:
@@ -129,34 +119,26 @@ def recovered_strips(erased: Erased, view: str, n: int = 4) -> HTML:
     n
         Most queries shown, spread evenly over all.
     """
-    dataset = erased.described.dataset
-    missing = _missing(dataset)
-    if missing:
-        return missing
+    dataset, split = erased.described.dataset, erased.split
     _, recovered = erased.lost_and_recovered(view)
-    if not len(recovered):
-        return HTML(f"<p>{view} gives no query back.</p>")
-    chosen = recovered[np.linspace(0, len(recovered) - 1, min(n, len(recovered))).round().astype(int)]
+    if nothing := _nothing_to_show(dataset, recovered, f"{view} gives no query back."):
+        return nothing
     before, after = erased.evaluations["original"], erased.evaluations[view]
     winner, winner_after = (one.retrieved(1, distractors=True)[0][:, 0] for one in (before, after))
-    queries = erased.split.evaluation_queries[before.evaluated]
-    figure = Figure(figsize=(6.6, 1.62 * len(chosen) + 0.3))
-    axes = figure.subplots(len(chosen), 3, squeeze=False)
-    for row, query in zip(axes, chosen, strict=True):
+    queries = split.evaluation_queries[before.evaluated]
+    strips, notes = [], []
+    for query in recovered[_spread(len(recovered), n)]:
         distractor = int(winner[query]) - before.ranking.n_database
-        database_image = int(erased.split.evaluation_database[winner_after[query]])
-        shown = [
-            (dataset.query, int(queries[query]), QUERY_COLOUR),
-            (dataset.query, int(queries[distractor]), WRONG_COLOUR),
-            (dataset.database, database_image, RIGHT_COLOUR),
-        ]
-        for panel, (traversal, index, colour) in zip(row, shown, strict=True):
-            show_image(panel, picture(traversal, index), colour)
-        row[1].set_xlabel(f"{_away(dataset, before, query, distractor)} away", fontsize=8, labelpad=2)
-    for panel, title in zip(axes[0], ("Query", "Top 1, original", f"Top 1, {view}"), strict=True):
-        panel.set_title(title, fontsize=9, pad=4)
-    _tighten(figure)
-    return embed(figure, f"{len(chosen)} queries of {dataset.title} that {view} recovers", form="jpeg", width=680)
+        strips.append(
+            [
+                (dataset.query, int(queries[query]), QUERY_COLOUR),
+                (dataset.query, int(queries[distractor]), WRONG_COLOUR),
+                (dataset.database, int(split.evaluation_database[winner_after[query]]), RIGHT_COLOUR),
+            ]
+        )
+        notes.append(["", f"{_away(dataset, before, query, distractor)} away", ""])
+    text = f"{len(strips)} queries of {dataset.title} that {view} recovers"
+    return _strips(strips, notes, ("Query", "Top 1, original", f"Top 1, {view}"), text)
 
 
 def retrieval_strips(measured: Measured, n: int = 4) -> HTML:
@@ -166,38 +148,56 @@ def retrieval_strips(measured: Measured, n: int = 4) -> HTML:
     The evaluation must hold retrieval lists of the query pool.
     """
     result, dataset = measured.evaluation, measured.dataset
-    missing = _missing(dataset)
-    if missing:
-        return missing
     lost = _lost(result)
-    if not len(lost):
-        return HTML("<p>No query of this evaluation loses its place to a distractor.</p>")
-    chosen = lost[np.linspace(0, len(lost) - 1, min(n, len(lost))).round().astype(int)]
-    alone, _ = result.retrieved(1, distractors=False)
-    augmented, _ = result.retrieved(1, distractors=True)
-    figure = Figure(figsize=(6.6, 1.62 * len(chosen) + 0.3))
-    axes = figure.subplots(len(chosen), 3, squeeze=False)
-    for row, query in zip(axes, chosen, strict=True):
-        distractor = int(augmented[query, 0]) - result.ranking.n_database
-        shown = [
-            (dataset.query, int(result.evaluated[query]), QUERY_COLOUR),
-            (dataset.database, int(alone[query, 0]), RIGHT_COLOUR),
-            (dataset.query, int(result.evaluated[distractor]), WRONG_COLOUR),
-        ]
-        for panel, (traversal, index, colour) in zip(row, shown, strict=True):
+    if nothing := _nothing_to_show(dataset, lost):
+        return nothing
+    alone, augmented = (result.retrieved(1, distractors=added)[0][:, 0] for added in (False, True))
+    strips, notes = [], []
+    for query in lost[_spread(len(lost), n)]:
+        distractor = int(augmented[query]) - result.ranking.n_database
+        strips.append(
+            [
+                (dataset.query, int(result.evaluated[query]), QUERY_COLOUR),
+                (dataset.database, int(alone[query]), RIGHT_COLOUR),
+                (dataset.query, int(result.evaluated[distractor]), WRONG_COLOUR),
+            ]
+        )
+        notes.append(["", "", f"{_away(dataset, result, query, distractor)} away"])
+    text = f"{len(strips)} queries of {dataset.title} that retrieve the right place until distractors are added"
+    return _strips(strips, notes, ("Query", "Top 1 of the database", "Top 1 with distractors"), text)
+
+
+def _strips(strips: list[list[Shown]], notes: list[list[str]], titles: Sequence[str], text: str) -> HTML:
+    """Show rows of images with coloured frames: titles above the first row, notes under each image."""
+    figure = Figure(figsize=(6.6, 1.62 * len(strips) + 0.3))
+    axes = figure.subplots(len(strips), len(titles), squeeze=False)
+    for row, strip, beneath in zip(axes, strips, notes, strict=True):
+        for panel, (traversal, index, colour), note in zip(row, strip, beneath, strict=True):
             show_image(panel, picture(traversal, index), colour)
-        row[2].set_xlabel(f"{_away(dataset, result, query, distractor)} away", fontsize=8, labelpad=2)
-    for panel, title in zip(axes[0], ("Query", "Top 1 of the database", "Top 1 with distractors"), strict=True):
+            panel.set_xlabel(note, fontsize=8, labelpad=2)
+    for panel, title in zip(axes[0], titles, strict=True):
         panel.set_title(title, fontsize=9, pad=4)
-    _tighten(figure)
-    text = f"{len(chosen)} queries of {dataset.title} that retrieve the right place until distractors are added"
+    top = 1 - 0.25 / figure.get_figheight()
+    figure.subplots_adjust(left=0, right=1, top=top, bottom=0.06, wspace=0.03, hspace=0.16)
     return embed(figure, text, form="jpeg", width=680)
 
 
-def _missing(dataset: Dataset) -> HTML | None:
-    if dataset.query.has_images and dataset.database.has_images:
-        return None
-    return HTML(f"<p>The images of {dataset.title} are not on this machine.</p>")
+def _spread(n: int, most: int) -> np.ndarray:
+    """At most so many of n indices, evenly spread."""
+    return np.linspace(0, n - 1, min(most, n)).round().astype(int)
+
+
+def _not_here(dataset: Dataset) -> HTML:
+    return markup("<p>The images of {} are not on this machine.</p>", dataset.title)
+
+
+def _nothing_to_show(
+    dataset: Dataset, queries: np.ndarray, none: str = "No query of this evaluation loses its place to a distractor."
+) -> HTML | None:
+    """Say why there is nothing to show, if so: no images, or no queries."""
+    if not (dataset.query.has_images and dataset.database.has_images):
+        return _not_here(dataset)
+    return None if len(queries) else markup("<p>{}</p>", none)
 
 
 def _lost(result: Evaluation) -> np.ndarray:
@@ -208,10 +208,4 @@ def _lost(result: Evaluation) -> np.ndarray:
 def _away(dataset: Dataset, result: Evaluation, query: int, distractor: int) -> str:
     """How far a distractor is from a query, in words."""
     away = np.linalg.norm(result.query_positions[query] - result.pool_positions[result.pool_name][distractor])
-    unit = {"metres": "m", "frames": "frames", "pairs": "pairs"}[dataset.unit]
-    return f"{away:.0f} {unit}"
-
-
-def _tighten(figure: Figure) -> None:
-    top = 1 - 0.25 / figure.get_figheight()
-    figure.subplots_adjust(left=0, right=1, top=top, bottom=0.06, wspace=0.03, hspace=0.16)
+    return f"{away:.0f} {_UNITS[dataset.unit]}"

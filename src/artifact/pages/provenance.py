@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import html
 import os
 import platform
 import subprocess
-from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -15,7 +13,8 @@ from typing import Any, Protocol
 import pandas as pd
 from IPython.display import HTML
 
-from artifact.pages.common import table
+from artifact.pages.common import join, markup, table
+from artifact.pages.scope import Page
 
 
 class Recorded(Protocol):
@@ -26,29 +25,26 @@ class Recorded(Protocol):
         """One record per traversal and method."""
 
 
-def provenance(parameters: Mapping[str, Any], *studies: Recorded) -> HTML:
-    """Show what made this page: parameters, inputs with their keys, code revision, machine and time."""
+def provenance(page: Page, *studies: Recorded) -> HTML:
+    """Show what made this page: every parameter of the notebook as settled, inputs, code revision, machine and time."""
     inputs = pd.DataFrame([record for study in studies for record in study.inputs]).drop_duplicates()
-    settings = "".join(
-        f"<li><code>{html.escape(k)} = {html.escape(repr(v))}</code></li>" for k, v in parameters.items()
-    )
     facts = {
         "Code": code_revision(),
         "Run": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "Machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
     }
-    listed = "".join(f"<li>{name}: {html.escape(value)}</li>" for name, value in facts.items())
-    shown = table(inputs, numeric=["images"]).data if len(inputs) else "<p>No descriptors are used here.</p>"
-    return HTML(
-        f'<details class="provenance"><summary>Provenance: parameters, inputs, code, time</summary>'
-        f"<ul>{settings}</ul><ul>{listed}</ul>{shown}</details>"
+    return markup(
+        '<details class="provenance"><summary>Provenance: parameters, inputs, code, time</summary>'
+        "<ul>{}</ul><ul>{}</ul>{}</details>",
+        join(markup("<li><code>{} = {!r}</code></li>", *item) for item in page.parameters.items()),
+        join(markup("<li>{}: {}</li>", *item) for item in facts.items()),
+        table(inputs, numeric=["images"]) if len(inputs) else markup("<p>No descriptors are used here.</p>"),
     )
 
 
 def code_revision() -> str:
     """Return the package version and, in a git checkout, the commit and whether files differ from it."""
     release = version("artifact")
-
     folder = Path(__file__).resolve().parents[3]
     try:
         commit = _git(folder, "rev-parse", "--short=12", "HEAD")

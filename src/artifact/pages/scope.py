@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from artifact import datasets as data
 from artifact import manifest as manifests
@@ -34,12 +34,31 @@ class Page:
         Name of the profile.
     datasets, methods
         Names, in the order shown.
+    asked
+        The notebook's further parameters, as given.
     """
 
     manifest: Manifest
     profile: str
     datasets: tuple[str, ...]
     methods: tuple[str, ...]
+    asked: Mapping[str, Any]
+
+    @property
+    def dataset(self) -> str:
+        """The first dataset: the only one of a page that shows one."""
+        return self.datasets[0]
+
+    @property
+    def method(self) -> str:
+        """The first method: the only one of a page that shows one."""
+        return self.methods[0]
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """All parameters of the notebook, with names in place of ``None`` once they are settled."""
+        settled = {name: getattr(self, name) for name in ("dataset", "datasets", "method", "methods")}
+        return {"profile": self.profile, **{name: settled.get(name, value) for name, value in self.asked.items()}}
 
     @property
     def method_titles(self) -> dict[str, str]:
@@ -52,123 +71,142 @@ class Page:
         return {name: self.manifest.dataset(name).title for name in self.datasets}
 
     @property
+    def rendered(self) -> tuple[str, ...]:
+        """The datasets that are rendered."""
+        return tuple(name for name in self.datasets if self.manifest.dataset(name).kind == "city")
+
+    @property
     def label(self) -> str:
         """One line that says what the numbers on the page are from."""
         if self.manifest.profile(self.profile).made:
             return MADE
         kinds = {self.manifest.method(name).kind for name in self.methods}
         what = {"baseline": "baselines, not methods of the paper", "paper": "methods of the paper"}
-        rendered = [t for n, t in self.dataset_titles.items() if self.manifest.dataset(n).kind == "city"]
-        real = [t for n, t in self.dataset_titles.items() if self.manifest.dataset(n).kind != "city"]
-        images = []
-        if real:
-            images.append(f"real images ({', '.join(real)})")
+        rendered = [self.dataset_titles[name] for name in self.rendered]
+        real = [title for name, title in self.dataset_titles.items() if name not in self.rendered]
+        images = [f"real images ({', '.join(real)})"] if real else []
         if rendered:
             images.append(f"rendered images ({rendered[0] if len(rendered) == 1 else f'{len(rendered)} City pairs'})")
         with_what = " and ".join(what[kind] for kind in sorted(kinds))
         return f"Measured by profile “{self.profile}” on {' and '.join(images)} with {with_what}."
 
-    def only(self, dataset: str, *methods: str) -> Page:
-        """Return the page narrowed to one dataset, and to some methods if any are named."""
-        return replace(self, datasets=(dataset,), methods=methods or self.methods)
+    @property
+    def conditions(self) -> tuple[str, str]:
+        """Conditions of the query and the database of a page's one dataset."""
+        entry = self.manifest.dataset(self.dataset)
+        return entry.traversals[entry.query].condition, entry.traversals[entry.database].condition
+
+    @property
+    def mixed_conditions(self) -> tuple[str, str, str]:
+        """Conditions of query, database and the traversal whose frames join the database."""
+        entry = self.manifest.dataset(self.dataset)
+        return *self.conditions, entry.traversals[entry.same_condition_traversal].condition
+
+    def only(self, *datasets: str) -> Page:
+        """Return the page with these datasets, in this order."""
+        return replace(self, datasets=datasets)
 
     def choose(
         self,
-        dataset: str | None,
         *,
         unit: str | None = None,
         distractor_traversals: bool = False,
         same_condition_traversal: bool = False,
         images: bool = False,
+        single_stage: bool = False,
         prefer: Literal["real", "metres"] | None = None,
-    ) -> str:
-        """Return the named dataset, or the first of the profile that suits.
+    ) -> Page:
+        """Return the page with one dataset: the one that its parameter names, or the first of the profile that suits.
+
+        If the page has one method, it is the one that its parameter names, or the last of the profile that suits.
 
         Parameters
         ----------
-        dataset
-            A name, or ``None``.
         unit
             Unit that the threshold must have.
         distractor_traversals, same_condition_traversal
             Whether the manifest must name traversals of further conditions, or of the query's kind of condition.
         images
             Whether the images of the pair must be at hand.
+        single_stage
+            Whether the method must not re-rank: its descriptors then are all there is to it.
         prefer
             What comes first: real images, or a threshold in metres.
 
         Raises
         ------
         ManifestError
-            If the named dataset does not suit; the message says what is needed.
+            If the named dataset or method does not suit; the message says what is needed.
         NothingToShowError
-            If no dataset of the profile suits.
+            If none of the profile suits.
         """
-        candidates = list(self.datasets if dataset is None else [dataset])
-        if prefer == "real":
-            candidates.sort(key=lambda name: self.manifest.dataset(name).kind == "city")
-        elif prefer == "metres":
-            candidates.sort(key=lambda name: self.manifest.dataset(name).threshold.unit != "metres")
-        for name in candidates:
-            entry = self.manifest.dataset(name)
+        page = self._with_one_method(single_stage) if "method" in self.asked else self
+        entries = {name: self.manifest.dataset(name) for name in self.datasets}
+        last = {
+            "real": lambda name: entries[name].kind == "city",
+            "metres": lambda name: entries[name].threshold.unit != "metres",
+            None: lambda _: False,
+        }[prefer]
+        for name in sorted(entries, key=last):
+            entry = entries[name]
             if (
                 (unit is None or entry.threshold.unit == unit)
                 and (entry.distractor_traversals or not distractor_traversals)
                 and (entry.same_condition_traversal or not same_condition_traversal)
                 and (not images or self._has_images(name))
             ):
-                return name
+                return page.only(name)
         needs = [f"a threshold in {unit}"] if unit else []
         needs += ["the key distractor_traversals"] if distractor_traversals else []
         needs += ["the key same_condition_traversal"] if same_condition_traversal else []
         needs += ["its images at hand"] if images else []
         need = f"this page needs a dataset with {' and '.join(needs)}"
-        if dataset is not None:
-            raise ManifestError(f"dataset {dataset!r}: {need}")
+        if self.asked.get("dataset") is not None:
+            raise ManifestError(f"dataset {self.dataset!r}: {need}")
         raise NothingToShowError(f"{need}; no dataset of profile {self.profile!r} is one")
+
+    def _with_one_method(self, single_stage: bool) -> Page:
+        for name in reversed(self.methods):
+            if not single_stage or self.manifest.method(name).rerank is None:
+                return replace(self, methods=(name,))
+        need = "this page needs a method that does not re-rank"
+        if self.asked["method"] is not None:
+            raise ManifestError(f"method {self.methods[0]!r}: {need}")
+        raise NothingToShowError(f"{need}; no method of profile {self.profile!r} is one")
 
     def _has_images(self, name: str) -> bool:
         loaded = data.load(self.manifest, name)
         return loaded.query.has_images and loaded.database.has_images
 
-    def rendered(self) -> list[str]:
-        """Return the datasets that are rendered."""
-        return [name for name in self.datasets if self.manifest.dataset(name).kind == "city"]
-
     def load_all(self, dataset: str) -> data.Dataset:
         """Load a dataset with all of its traversals."""
         return data.load(self.manifest, dataset, self.manifest.dataset(dataset).traversals)
 
-    def conditions(self, dataset: str) -> tuple[str, str]:
-        """Return the conditions of a dataset's query and database."""
-        entry = self.manifest.dataset(dataset)
-        return entry.traversals[entry.query].condition, entry.traversals[entry.database].condition
 
-    def mixed_conditions(self, dataset: str) -> tuple[str, str, str]:
-        """Return the conditions of query, database and the traversal whose frames join the database."""
-        entry = self.manifest.dataset(dataset)
-        return *self.conditions(dataset), entry.traversals[entry.same_condition_traversal].condition
-
-
-def open_page(
-    profile: str, datasets: Sequence[str] | None = None, methods: Sequence[str] | None = None
-) -> Page:  # fmt: skip
+def open_page(profile: str, **parameters: Any) -> Page:
     """Settle a notebook's scope and set the figure style.
 
     Parameters
     ----------
     profile
         Profile of the manifest.
-    datasets, methods
-        Names; ``None`` takes all of the profile.
+    **parameters
+        All other parameters of the notebook, so that its provenance shows them. ``datasets`` and ``methods`` are lists
+        of names, ``dataset`` and ``method`` one name; ``None`` takes all of the profile. A page
+        with ``dataset`` or ``method`` then calls :meth:`Page.choose`.
     """
     use_style()
     manifest = manifests.load().for_profile(profile)
     entry = manifest.profile(profile)
-    chosen = tuple(entry.datasets if datasets is None else datasets)
-    described = tuple(entry.methods if methods is None else methods)
-    for name in chosen:
+
+    def named(several: str, one: str, default: list[str]) -> tuple[str, ...]:
+        if parameters.get(one) is not None:
+            return (parameters[one],)
+        return tuple(default if parameters.get(several) is None else parameters[several])
+
+    datasets, methods = named("datasets", "dataset", entry.datasets), named("methods", "method", entry.methods)
+    for name in datasets:
         manifest.dataset(name)
-    for name in described:
+    for name in methods:
         manifest.method(name)
-    return Page(manifest, profile, chosen, described)
+    return Page(manifest, profile, datasets, methods, parameters)

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import base64
-import html
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import as_file, files
+from typing import Any
 
-import matplotlib as mpl
-import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import HTML
+from matplotlib import style as styles
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+
+from artifact.pages.common import markup
 
 QUERY_COLOUR = "#78a0ff"
 DISTRACTOR_COLOUR = "#0000ff"
@@ -35,10 +38,18 @@ class MethodStyle:
 
 # Colours and markers of the paper's Figs. 5 to 7.
 _PAPER = {
-    "anyloc": ("#1f77b4", "o"), "boq": ("#ff7f0e", "s"), "cosplace": ("#2ca02c", "^"), "cricavpr": ("#d62728", "D"),
-    "eigenplaces": ("#9467bd", "p"), "megaloc": ("#8c564b", "o"), "mixvpr": ("#e377c2", "s"), "salad": ("#7f7f7f", "^"),
-    "salad_cm": ("#bcbd22", "D"), "selavpr": ("#17becf", "p"), "selavprpp": ("#000000", "o"),
-}  # fmt: skip
+    "anyloc": ("#1f77b4", "o"),
+    "boq": ("#ff7f0e", "s"),
+    "cosplace": ("#2ca02c", "^"),
+    "cricavpr": ("#d62728", "D"),
+    "eigenplaces": ("#9467bd", "p"),
+    "megaloc": ("#8c564b", "o"),
+    "mixvpr": ("#e377c2", "s"),
+    "salad": ("#7f7f7f", "^"),
+    "salad_cm": ("#bcbd22", "D"),
+    "selavpr": ("#17becf", "p"),
+    "selavprpp": ("#000000", "o"),
+}
 _BASELINES = {"thumbnail": ("#c1666b", "v"), "hog": ("#d4a017", "h"), "efficientnet_lite0": ("#2a6f97", "P")}
 _OTHERS = [("#6a4c93", "X"), ("#3a7d44", "<"), ("#9c6644", ">"), ("#5c677d", "d")]
 
@@ -62,113 +73,59 @@ def method_style(method: str, others: Sequence[str] = ()) -> MethodStyle:
 
 def use_style() -> None:
     """Set the book's figure style for this process: called once at the top of a notebook."""
-    mpl.rcParams.update(
-        {
-            "figure.dpi": 110, "savefig.dpi": 110, "svg.fonttype": "path", "svg.hashsalt": "artifact",
-            "figure.facecolor": "white", "savefig.facecolor": "white", "savefig.bbox": "tight",
-            "font.size": 9.5, "font.family": "DejaVu Sans", "axes.titlesize": 10, "axes.labelsize": 9.5,
-            "xtick.labelsize": 8.5, "ytick.labelsize": 8.5, "legend.fontsize": 8.5, "legend.frameon": False,
-            "axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True,
-            "grid.color": "0.88", "grid.linewidth": 0.6, "lines.linewidth": 1.4, "lines.markersize": 5.5,
-        }
-    )  # fmt: skip
+    with as_file(files("artifact.pages") / "book.mplstyle") as path:
+        styles.use(path)
 
 
-def marker_options(method: str, methods: Sequence[str] = ()) -> dict[str, object]:
+def marker_options(method: str, methods: Sequence[str] = ()) -> dict[str, Any]:
     """Return Matplotlib line options of a method's colour and marker."""
     style = method_style(method, methods)
     face = style.colour if style.filled else "white"
     return {"color": style.colour, "marker": style.marker, "markerfacecolor": face, "markeredgewidth": 1.3}
 
 
-def method_legend(figure: Figure, titles: dict[str, str], *, columns: int = 4, y: float = 0.0) -> None:
-    """Draw one legend of all methods below a figure.
-
-    Parameters
-    ----------
-    figure
-        The figure.
-    titles
-        Method name to printed title, in order.
-    columns
-        Columns of the legend.
-    y
-        Its top, in figure fractions.
-    """
-    handles = [
-        Line2D([], [], linestyle="none", label=title, **marker_options(name, list(titles)))
-        for name, title in titles.items()
-    ]
-    figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, y), ncols=min(columns, len(handles)))
+def legend_below(figure: Figure, handles: Sequence[Artist] | None = None, *, columns: int = 3) -> None:
+    """Draw one legend below a figure: of the handles, else of what its first panel labels."""
+    handles = figure.axes[0].get_legend_handles_labels()[0] if handles is None else handles
+    columns = min(columns, len(handles))
+    figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=columns)
 
 
-def curve(
-    axes: Axes, x: Sequence[float], y: Sequence[float], method: str, methods: Sequence[str], *, reported: bool = False
-) -> None:  # fmt: skip
-    """Draw one method's curve; reported curves are dashed and faint."""
-    if reported:
-        axes.plot(x, y, linestyle=(0, (3, 2)), alpha=0.45, linewidth=1.1, color=method_style(method, methods).colour)
-    else:
-        axes.plot(x, y, **marker_options(method, methods))
+def method_legend(figure: Figure, titles: Mapping[str, str]) -> None:
+    """Draw one legend of all methods below a figure."""
+    names = list(titles)
+    handles = [Line2D([], [], linestyle="none", label=titles[n], **marker_options(n, names)) for n in names]
+    legend_below(figure, handles, columns=4)
 
 
-def percent_axis(axes: Axes, label: str | None = None, *, axis: str = "y") -> None:
+def colour_handle(colour: str, label: str) -> Line2D:
+    """Return the legend entry of a colour."""
+    return Line2D([], [], linestyle="none", marker="s", color=colour, label=label)
+
+
+def curve(axes: Axes, x: Sequence[float], y: Sequence[float], method: str, methods: Sequence[str]) -> None:
+    """Draw one method's curve."""
+    axes.plot(x, y, **marker_options(method, methods))
+
+
+def percent_axis(axes: Axes, label: str = "", *, axis: str = "y") -> None:
     """Scale an axis from 0 to 100 % with quarter ticks and a grid."""
-    bounds, ticks, name = (
-        (axes.set_ylim, axes.set_yticks, axes.set_ylabel)
-        if axis == "y"
-        else (axes.set_xlim, axes.set_xticks, axes.set_xlabel)
-    )
-    bounds(-2, 102)
-    ticks([0, 25, 50, 75, 100])
+    axes.set(**{f"{axis}lim": (-2, 102), f"{axis}ticks": [0, 25, 50, 75, 100]})
     axes.grid(visible=True)
     if label:
-        name(label)
+        axes.set(**{f"{axis}label": label})
 
 
-def image_row(
-    images: Iterable[np.ndarray], titles: Iterable[str] = (), *, height: float = 1.5, frames: Iterable[str | None] = ()
-) -> Figure:  # fmt: skip
-    """Show images side by side with captions and coloured frames.
-
-    Parameters
-    ----------
-    images
-        ``(h, w, 3)`` uint8 arrays.
-    titles
-        Captions above them.
-    height
-        Height of the row in inches.
-    frames
-        Frame colours; ``None`` for no frame.
-    """
-    pictures = list(images)
-    captions, colours = list(titles) or [""] * len(pictures), list(frames) or [None] * len(pictures)
-    widths = [picture.shape[1] / picture.shape[0] for picture in pictures]
-    figure, panels = plt.subplots(
-        1,
-        len(pictures),
-        figsize=(height * sum(widths) * 1.04, height * 1.16),
-        squeeze=False,
-        width_ratios=widths,
-    )
-    for axes, picture, caption, colour in zip(panels[0], pictures, captions, colours, strict=True):
-        show_image(axes, picture, colour)
-        axes.set_title(caption, fontsize=8, pad=3)
-    figure.subplots_adjust(left=0, right=1, top=0.88, bottom=0, wspace=0.04)
-    return figure
+def bare(axes: Axes, colour: str | None = None, width: float = 0.8) -> None:
+    """Take the ticks off a panel, and its frame too unless that has a colour."""
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set(visible=colour is not None, edgecolor=colour, linewidth=width)
 
 
 def show_image(axes: Axes, image: np.ndarray, frame: str | None = None) -> None:
     """Show one image without axes, with a coloured frame if one is given."""
     axes.imshow(image, interpolation="antialiased")
-    axes.set_xticks([])
-    axes.set_yticks([])
-    for spine in axes.spines.values():
-        spine.set_visible(frame is not None)
-        if frame is not None:
-            spine.set_edgecolor(frame)
-            spine.set_linewidth(3)
+    bare(axes, frame, 3)
 
 
 def embed(figure: Figure, description: str, *, form: str = "svg", width: int | None = None) -> HTML:
@@ -190,6 +147,6 @@ def embed(figure: Figure, description: str, *, form: str = "svg", width: int | N
     options = {"metadata": {"Date": None}} if form == "svg" else {"dpi": 150, "pil_kwargs": {"quality": 85}}
     figure.savefig(stream, format=form, **options)
     kind = {"svg": "image/svg+xml", "jpeg": "image/jpeg"}[form]
+    style = markup(' style="width:100%;max-width:{}px"', width) if width else ""
     data = base64.b64encode(stream.getvalue()).decode()
-    style = f' style="width:100%;max-width:{width}px"' if width else ""
-    return HTML(f'<img class="figure"{style} alt="{html.escape(description)}" src="data:{kind};base64,{data}">')
+    return markup('<img class="figure"{} alt="{}" src="data:{};base64,{}">', style, description, kind, data)
