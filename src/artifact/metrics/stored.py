@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -84,7 +83,7 @@ def packed(result: Evaluation) -> dict[str, np.ndarray]:
         for number, pool in enumerate(ranks.pool_sizes):
             named[f"pool/{view_number}/{number}"] = ranks.pools[view, pool]
         for prefix, counts in named.items():
-            arrays |= {f"{prefix}/{field.name}": getattr(counts, field.name) for field in fields(Counts)}
+            arrays |= {f"{prefix}/{name}": array for name, array in counts._asdict().items()}
     return arrays
 
 
@@ -92,7 +91,7 @@ def unpacked(arrays: dict[str, np.ndarray]) -> Evaluation:
     """Rebuild an evaluation from :func:`packed`."""
 
     def counts(prefix: str) -> Counts:
-        return Counts(**{field.name: arrays[f"{prefix}/{field.name}"] for field in fields(Counts)})
+        return Counts(**{name: arrays[f"{prefix}/{name}"] for name in Counts._fields})
 
     views, pools = arrays["views"].tolist(), arrays["pools"].tolist()
     ranks = Ranking(

@@ -4,13 +4,13 @@ Counting replaces sorting: a query is a hit at K exactly when fewer than K image
 kernels below read each similarity once. They are compiled by Numba for the CPU and written again in PyTorch for
 other devices; the tests hold both against a literal sort.
 
-A similarity is ``(tile - correction) * scale + bias``, with one scale and bias per column, so that cosine, dot
+A similarity is ``(value - correction) * scale + bias``, with one scale and bias per column, so that cosine, dot
 product and Euclidean distance, and low-rank transformed descriptors, all come from one plain matrix product.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -18,8 +18,37 @@ from numba import njit
 _CHUNK = 128  # columns that are tested together before any of them is looked at alone
 
 
-@dataclass
-class Counts:
+class Tile(NamedTuple):
+    """Rows and columns of a matrix of similarities ``(values - correction) * scale + bias``.
+
+    Row ``r`` is query ``first_row + r``, column ``c`` is image ``first_column + c``. ``values`` and ``correction`` are
+    arrays of the engine, and an empty correction changes nothing; ``scale`` and ``bias`` have one value per column.
+    """
+
+    values: Any
+    correction: Any
+    scale: np.ndarray
+    bias: np.ndarray
+    first_row: int
+    first_column: int
+
+
+class Groups(NamedTuple):
+    """Images that belong to each query: those of query ``i`` are ``members[starts[i]:starts[i + 1]]``, ascending."""
+
+    starts: np.ndarray
+    members: np.ndarray
+
+
+class Places(NamedTuple):
+    """Positions of the queries and of a pool, whose images are allowed when farther apart than ``threshold``."""
+
+    queries: np.ndarray
+    pool: np.ndarray
+    threshold: float
+
+
+class Counts(NamedTuple):
     """Running per-query counts of one view and one distractor pool; the arrays grow tile by tile.
 
     Attributes
@@ -108,20 +137,21 @@ def _similarities(row, correction, scale, bias, out):
 
 
 @njit(nogil=True, cache=True)
-def database_rows(
-    tile, correction, scale, bias, starts, positives, offset, best, beaters, ties, top_similarity, top_index
-):  # fmt: skip
+def database_rows(tile, groups, counts):
     """Find the best positive of each row and count the columns above it and level with it.
 
-    ``tile`` holds every database image of its rows. ``positives[starts[i]:starts[i + 1]]`` are the positives of
-    query ``i``; row ``r`` is query ``offset + r``.
+    The tile holds every database image of its rows; ``groups`` are the positives.
     """
-    columns = tile.shape[1]
+    values, correction, scale, bias, offset, _ = tile
+    starts, positives = groups
+    best, beaters, ties = counts.best, counts.beaters, counts.ties
+    top_similarity, top_index = counts.top_similarity, counts.top_index
+    columns = values.shape[1]
     similarity = np.empty(columns, np.float32)
     nothing = np.empty(0, np.float32)
     top = top_similarity.shape[1]
-    for row in range(tile.shape[0]):
-        _similarities(tile[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
+    for row in range(values.shape[0]):
+        _similarities(values[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
         query = offset + row
         level = np.float32(-np.inf)
         for entry in range(starts[query], starts[query + 1]):
@@ -140,19 +170,20 @@ def database_rows(
 
 
 @njit(nogil=True, cache=True)
-def pool_counts(
-    tile, correction, scale, bias, offset, first_column, starts, near, best, beaters, ties
-):  # fmt: skip
+def pool_counts(tile, groups, counts):
     """Count as :func:`pool_rows`, without lists: for views whose sweeps nobody asked for.
 
-    ``near[starts[i]:starts[i + 1]]`` are the pool images that query ``i`` may not use, ascending: everything is counted
-    and those few are taken back, so that no distance is computed.
+    ``groups`` are the pool images that each query may not use: everything is counted and those few are taken back, so
+    that no distance is computed.
     """
-    columns = tile.shape[1]
+    values, correction, scale, bias, offset, first_column = tile
+    starts, near = groups
+    best, beaters, ties = counts.best, counts.beaters, counts.ties
+    columns = values.shape[1]
     similarity = np.empty(columns, np.float32)
     nothing = np.empty(0, np.float32)
-    for row in range(tile.shape[0]):
-        _similarities(tile[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
+    for row in range(values.shape[0]):
+        _similarities(values[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
         query = offset + row
         level = best[query]
         above, equal = 0, 0
@@ -182,24 +213,23 @@ def _distances(here, pool_positions, begin, out):
 
 
 @njit(nogil=True, cache=True)
-def pool_rows(
-    tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, orders, earliest,
-    best, beaters, ties, farthest, first, top_similarity, top_index,
-):  # fmt: skip
+def pool_rows(tile, places, orders, earliest, counts):
     """Count the allowed distractors of a tile that beat, or are level with, each row's best positive.
 
-    Row ``r`` is query ``offset + r``, column ``c`` is pool image ``first_column + c``. An image is allowed when
-    it is farther than ``threshold`` from the query. ``orders`` is ``(pool, draws)``: the place of each pool image
-    in each random order, and ``earliest`` its smallest place. Columns go by in chunks: the loops over a chunk have
-    no branches, and only a chunk that changes a list is looked at image by image.
+    ``orders`` is ``(pool, draws)``: the place of each pool image in each random order, and ``earliest`` its smallest
+    place. Columns go by in chunks: the loops over a chunk have no branches, and only a chunk that changes a list is
+    looked at image by image.
     """
-    columns = tile.shape[1]
+    matrix, correction, scale, bias, offset, first_column = tile
+    positions, pool_positions, threshold = places
+    best, beaters, ties, farthest, first, top_similarity, top_index = counts
+    columns = matrix.shape[1]
     similarity = np.empty(columns, np.float32)
     nothing = np.empty(0, np.float32)
     distance = np.empty(_CHUNK)
     top, depth, draws = top_similarity.shape[1], farthest.shape[1], first.shape[2]
-    for row in range(tile.shape[0]):
-        _similarities(tile[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
+    for row in range(matrix.shape[0]):
+        _similarities(matrix[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
         query = offset + row
         level = best[query]
         floor = min(level, top_similarity[query, top - 1]) if top else level

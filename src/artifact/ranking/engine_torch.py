@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from artifact.ranking.counting import Counts
+from artifact.ranking.counting import Counts, Groups, Places, Tile
 
 _CONVERTED = 32 * 2**20  # bytes of descriptors that are sent to the device at a time if they do not stay there
 
@@ -48,29 +48,20 @@ class TorchEngine:
         """Return the transposed tile."""
         return tile.T if tile.ndim else tile
 
-    def count_database(self, tile, correction, scale, bias, starts, positives, offset, counts: Counts) -> None:
+    def count_database(self, tile: Tile, positives: Groups, counts: Counts) -> None:
         """See :func:`database_rows`."""
-        scale, bias = self._send(scale), self._send(bias)
-        database_rows(tile - correction, scale, bias, starts, positives, offset, counts)
+        database_rows(self._similarity(tile), tile.first_row, positives, counts)
 
-    def count_pool(
-        self, tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, orders,
-        counts: Counts,
-    ) -> None:  # fmt: skip
+    def count_pool(self, tile: Tile, places: Places, orders: np.ndarray, counts: Counts) -> None:
         """See :func:`pool_rows`."""
-        pool_rows(
-            tile - correction, self._send(scale), self._send(bias), offset, first_column, self._send(positions),
-            self._send(pool_positions), threshold, self._send(orders), counts,
-        )  # fmt: skip
+        pool_rows(self._similarity(tile), tile.first_row, tile.first_column, places, orders, counts)
 
-    def count_pool_only(
-        self, tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, near, counts: Counts,
-    ) -> None:  # fmt: skip
+    def count_pool_only(self, tile: Tile, places: Places, near: Groups, counts: Counts) -> None:
         """Count without lists: ``counts`` has none."""
-        none = np.zeros((len(pool_positions), 0), np.int32)
-        self.count_pool(
-            tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, none, counts
-        )
+        self.count_pool(tile, places, np.zeros((len(places.pool), 0), np.int32), counts)
+
+    def _similarity(self, tile: Tile) -> torch.Tensor:
+        return (tile.values - tile.correction) * self._send(tile.scale) + self._send(tile.bias)
 
     def _send(self, array: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(array).to(self._device)
@@ -92,15 +83,17 @@ class TorchEngine:
 # -- counting ---------------------------------------------------------------------------------------------------
 
 
-def database_rows(tile, scale, bias, starts, positives, offset, counts: Counts) -> None:
-    """Do as :func:`artifact.ranking.counting.database_rows`, with tensors on any device. ``tile`` is already corrected."""
-    rows = slice(offset, offset + tile.shape[0])
-    similarity = tile * scale + bias
-    entries = positives[starts[offset] : starts[offset + tile.shape[0]]]
-    lengths = np.diff(starts[offset : offset + tile.shape[0] + 1])
-    owner = torch.from_numpy(np.repeat(np.arange(tile.shape[0]), lengths)).to(tile.device)
-    values = similarity[owner, torch.from_numpy(entries).to(tile.device)]
-    level = torch.full((tile.shape[0],), -torch.inf, device=tile.device).scatter_reduce_(0, owner, values, "amax")
+def database_rows(similarity: torch.Tensor, offset: int, groups: Groups, counts: Counts) -> None:
+    """Do as :func:`artifact.ranking.counting.database_rows`, with tensors on any device."""
+    starts, positives = groups
+    rows = slice(offset, offset + len(similarity))
+    entries = positives[starts[offset] : starts[offset + similarity.shape[0]]]
+    lengths = np.diff(starts[offset : offset + similarity.shape[0] + 1])
+    owner = torch.from_numpy(np.repeat(np.arange(similarity.shape[0]), lengths)).to(similarity.device)
+    values = similarity[owner, torch.from_numpy(entries).to(similarity.device)]
+    level = torch.full((similarity.shape[0],), -torch.inf, device=similarity.device).scatter_reduce_(
+        0, owner, values, "amax"
+    )
     equal = (similarity == level[:, None]).sum(1)
     equal -= torch.zeros_like(equal).scatter_add_(0, owner, (values == level[owner]).to(equal.dtype))
     counts.best[rows] = level.cpu().numpy()
@@ -110,29 +103,30 @@ def database_rows(tile, scale, bias, starts, positives, offset, counts: Counts) 
 
 
 def pool_rows(
-    tile, scale, bias, offset, first_column, positions, pool_positions, threshold, orders, counts: Counts
-) -> None:  # fmt: skip
-    """Do as :func:`artifact.ranking.counting.pool_rows`, with tensors on any device. ``tile`` is already corrected."""
-    rows = slice(offset, offset + tile.shape[0])
-    columns = slice(first_column, first_column + tile.shape[1])
-    similarity = tile * scale + bias
-    level = torch.from_numpy(counts.best[rows]).to(tile.device)[:, None]
-    squared = torch.zeros(tile.shape, dtype=torch.float64, device=tile.device)
-    for axis in range(positions.shape[1]):
-        difference = positions[rows, axis, None] - pool_positions[None, columns, axis]
+    similarity: torch.Tensor, offset: int, first_column: int, places: Places, orders: np.ndarray, counts: Counts
+) -> None:
+    """Do as :func:`artifact.ranking.counting.pool_rows`, with tensors on any device."""
+    rows = slice(offset, offset + similarity.shape[0])
+    columns = slice(first_column, first_column + similarity.shape[1])
+    here, there = (torch.from_numpy(p).to(similarity.device) for p in (places.queries[rows], places.pool[columns]))
+    placed = torch.from_numpy(orders[columns]).to(similarity.device)
+    level = torch.from_numpy(counts.best[rows]).to(similarity.device)[:, None]
+    squared = torch.zeros(similarity.shape, dtype=torch.float64, device=similarity.device)
+    for axis in range(here.shape[1]):
+        difference = here[:, axis, None] - there[None, :, axis]
         squared += difference * difference
     distance = squared.sqrt_()
-    allowed = distance > threshold
+    allowed = distance > places.threshold
     beats = allowed & (similarity > level)
     counts.beaters[rows] += beats.sum(1).cpu().numpy()
     counts.ties[rows] += (allowed & (similarity == level)).sum(1).cpu().numpy()
-    depth = min(counts.farthest.shape[1], tile.shape[1])
+    depth = min(counts.farthest.shape[1], similarity.shape[1])
     found = distance.masked_fill_(~beats, -torch.inf).topk(depth, dim=1).values.cpu().numpy()
     merged = np.concatenate([counts.farthest[rows], found], axis=1)
     counts.farthest[rows] = -np.sort(-merged, axis=1)[:, : counts.farthest.shape[1]]
     for draw in range(counts.first.shape[2]):
-        places = orders[columns, draw].expand_as(tile).masked_fill(~beats, np.iinfo(np.int32).max)
-        found = places.topk(depth, dim=1, largest=False).values.cpu().numpy()
+        drawn = placed[:, draw].expand_as(similarity).masked_fill(~beats, np.iinfo(np.int32).max)
+        found = drawn.topk(depth, dim=1, largest=False).values.cpu().numpy()
         merged = np.concatenate([counts.first[rows, :, draw], found], axis=1)
         counts.first[rows, :, draw] = np.sort(merged, axis=1)[:, : counts.first.shape[1]]
     _merge_top(counts, rows, similarity.masked_fill(~allowed, -torch.inf), first_column)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import itertools
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
 import numpy as np
 
 from artifact.ranking import counting
-from artifact.ranking.counting import Counts
+from artifact.ranking.counting import Counts, Groups, Places, Tile
 
 _CONVERTED = 32 * 2**20  # bytes of half-precision descriptors that are widened at a time
 _NOTHING = np.empty((0, 0), np.float32)
@@ -28,9 +29,9 @@ class Engine(Protocol):
     def product(self, left: np.ndarray, rows: slice, right: np.ndarray, columns: slice) -> Any: ...  # noqa: D102
     def correction(self, left: np.ndarray, right: np.ndarray) -> Any: ...  # noqa: D102
     def transposed(self, tile: Any) -> Any: ...  # noqa: D102
-    def count_database(self, *arguments: Any) -> None: ...  # noqa: D102
-    def count_pool(self, *arguments: Any) -> None: ...  # noqa: D102
-    def count_pool_only(self, *arguments: Any) -> None: ...  # noqa: D102
+    def count_database(self, tile: Tile, positives: Groups, counts: Counts) -> None: ...  # noqa: D102
+    def count_pool(self, tile: Tile, places: Places, orders: np.ndarray, counts: Counts) -> None: ...  # noqa: D102
+    def count_pool_only(self, tile: Tile, places: Places, near: Groups, counts: Counts) -> None: ...  # noqa: D102
 
 
 class CpuEngine:
@@ -67,48 +68,30 @@ class CpuEngine:
         """Return the transposed tile in row order."""
         return np.ascontiguousarray(tile.T)
 
-    def count_database(self, tile, correction, scale, bias, starts, positives, offset, counts: Counts) -> None:
+    def count_database(self, tile: Tile, positives: Groups, counts: Counts) -> None:
         """See :func:`artifact.ranking.counting.database_rows`."""
-        self._by_rows(
-            lambda rows, fix, first: counting.database_rows(
-                tile[rows], fix, scale, bias, starts, positives, offset + first, counts.best, counts.beaters,
-                counts.ties, counts.top_similarity, counts.top_index,
-            ),
-            len(tile), correction,
-        )  # fmt: skip
+        self._by_rows(tile, lambda part: counting.database_rows(part, positives, counts))
 
-    def count_pool(
-        self, tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, orders,
-        counts: Counts,
-    ) -> None:  # fmt: skip
+    def count_pool(self, tile: Tile, places: Places, orders: np.ndarray, counts: Counts) -> None:
         """See :func:`artifact.ranking.counting.pool_rows`."""
         earliest = orders.min(axis=1) if orders.shape[1] else np.zeros(len(orders), np.int32)
-        self._by_rows(
-            lambda rows, fix, first: counting.pool_rows(
-                tile[rows], fix, scale, bias, offset + first, first_column, positions, pool_positions, threshold,
-                orders, earliest, counts.best, counts.beaters, counts.ties, counts.farthest, counts.first,
-                counts.top_similarity, counts.top_index,
-            ),
-            len(tile), correction,
-        )  # fmt: skip
+        self._by_rows(tile, lambda part: counting.pool_rows(part, places, orders, earliest, counts))
 
-    def count_pool_only(
-        self, tile, correction, scale, bias, offset, first_column, positions, pool_positions, threshold, near, counts: Counts,
-    ) -> None:  # fmt: skip
+    def count_pool_only(self, tile: Tile, places: Places, near: Groups, counts: Counts) -> None:
         """See :func:`artifact.ranking.counting.pool_counts`."""
-        starts, images = near
-        self._by_rows(
-            lambda rows, fix, first: counting.pool_counts(
-                tile[rows], fix, scale, bias, offset + first, first_column, starts, images, counts.best, counts.beaters,
-                counts.ties,
-            ),
-            len(tile), correction,
-        )  # fmt: skip
+        self._by_rows(tile, lambda part: counting.pool_counts(part, near, counts))
 
-    def _by_rows(self, count, n_rows: int, correction: np.ndarray) -> None:
-        edges = np.linspace(0, n_rows, self._workers + 1).astype(int)
+    def _by_rows(self, tile: Tile, count: Callable[[Tile], None]) -> None:
+        edges = np.linspace(0, len(tile.values), self._workers + 1).astype(int).tolist()
         jobs = [
-            self._pool.submit(count, slice(start, stop), correction[start:stop], start)
+            self._pool.submit(
+                count,
+                tile._replace(
+                    values=tile.values[start:stop],
+                    correction=tile.correction[start:stop],
+                    first_row=tile.first_row + start,
+                ),
+            )
             for start, stop in itertools.pairwise(edges)
             if stop > start
         ]

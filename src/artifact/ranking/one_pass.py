@@ -17,7 +17,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from artifact.datasets.positives import positives_of
-from artifact.ranking.counting import Counts
+from artifact.ranking.counting import Counts, Groups, Places, Tile
 from artifact.ranking.engines import Engine, engine_for
 
 Similarity = Literal["cosine", "dot", "l2"]
@@ -207,12 +207,11 @@ class _Pass:
         largest = _LARGEST_ROWS if copies == 1 else _LARGEST_ROWS // 4
         step = max(1, min(largest, options.memory // (4 * copies * len(database))))
         for rows in _blocks(n, step):
-            tile = self.engine.product(self.queries.descriptors, rows, database.descriptors, slice(0, len(database)))
+            values = self.engine.product(self.queries.descriptors, rows, database.descriptors, slice(0, len(database)))
             for view, column in columns.items():
                 correction = self.engine.correction(self.rows[view].left[rows], column.right)
-                self.engine.count_database(
-                    tile, correction, column.scale, column.bias, starts, positives, rows.start, counts[view]
-                )
+                tile = Tile(values, correction, column.scale, column.bias, rows.start, 0)
+                self.engine.count_database(tile, Groups(starts, positives), counts[view])
         return counts
 
     def over_pool(self, pool: ImageSet, best: Mapping[str, np.ndarray]) -> dict[str, Counts]:
@@ -230,29 +229,24 @@ class _Pass:
         for view in self.transforms:
             counts[view].best[:] = best[view]
         orders = draw_orders(len(pool), options)
-        near = positives_of(self.queries.positions, pool.positions, self.threshold) if bare else None
+        places = Places(self.queries.positions, pool.positions, self.threshold)
+        near = Groups(*positives_of(*places)) if bare else None
         copies = 4 if len(self.transforms) > 1 else 2
         step = max(1, min(_TILE_SIDE, math.isqrt(options.memory // (4 * copies))))
         for rows, cols, mirrored in _tiles(n, len(pool), step, symmetric=own):
-            tile = self.engine.product(self.queries.descriptors, rows, pool.descriptors, cols)
-            turned = self.engine.transposed(tile) if mirrored else None
+            values = self.engine.product(self.queries.descriptors, rows, pool.descriptors, cols)
+            halves = [(values, rows, cols)]
+            if mirrored:
+                halves.append((self.engine.transposed(values), cols, rows))
             for view, column in columns.items():
-                left = self.rows[view].left
-                correction = self.engine.correction(left[rows], column.right[cols])
-                kept = near if view in bare else orders
-                self._count(tile, correction, column, rows, cols, pool, kept, counts[view])
-                if turned is not None:
-                    correction = self.engine.correction(left[cols], column.right[rows])
-                    self._count(turned, correction, column, cols, rows, pool, kept, counts[view])
+                for half, above, across in halves:
+                    correction = self.engine.correction(self.rows[view].left[above], column.right[across])
+                    tile = Tile(half, correction, column.scale[across], column.bias[across], above.start, across.start)
+                    if near is not None and view in bare:
+                        self.engine.count_pool_only(tile, places, near, counts[view])
+                    else:
+                        self.engine.count_pool(tile, places, orders, counts[view])
         return counts
-
-    def _count(self, tile, correction, column, rows, cols, pool, kept, counts) -> None:
-        """Count with lists (``kept`` are the random orders) or without (``kept`` are the images too near)."""
-        count = self.engine.count_pool_only if isinstance(kept, tuple) else self.engine.count_pool
-        count(
-            tile, correction, column.scale[cols], column.bias[cols], rows.start, cols.start,
-            self.queries.positions, pool.positions, self.threshold, kept, counts,
-        )  # fmt: skip
 
 
 def _readings(
