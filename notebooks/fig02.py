@@ -31,7 +31,7 @@ from artifact import pages, studies
 from artifact.pages.scope import open_page
 
 page = open_page(profile, dataset=dataset, methods=methods, share=share, seed=seed)
-page = page.choose(same_condition_traversal=True)
+page = page.choose(same_condition_traversal=True).single_stage()
 found = {
     method: studies.mixed_database.mixed_database(page.manifest, page.dataset, method, share=share, seed=seed)
     for method in page.methods
@@ -52,6 +52,18 @@ pages.mixed_database.mixed_database(found, panels, page.mixed_conditions, page.m
 table = pages.mixed_database.mixed_table(found, panels, page.method_titles)
 display(table)
 display(pages.mixed_database.reported_mixed_table("fig02"))
+
+# %% [markdown]
+# ## Number by number
+#
+# *Equal*: the same number of queries, or equal to the digits that the paper prints. *Agrees*: the paper's number lies in the
+# 95 % interval and within 1 pp. *Differs*: outside both. *Cannot tell*: anything else; the reason stands beside it.
+
+# %% tags=["remove-input", "full-width"]
+recall = studies.mixed_database.mixed_recall(page.manifest, page.dataset, found, "fig02", seed=seed)
+pages.verdicts.verdicts_table(
+    studies.verdicts.of_mixed_database(recall, "Fig. 2", page.dataset_titles[page.dataset]), titles=page.method_titles
+)
 
 # %% tags=["remove-input"]
 display(pages.common.download(studies.mixed_database.mixed_table(found), "fig02_mixed_database"))

@@ -59,6 +59,20 @@ pages.distractors.number_and_distance(number.table, distance.table, page.method_
 # %% tags=["remove-input"]
 pages.distractors.reported_number_and_distance()
 
+# %% [markdown]
+# ## Number by number
+#
+# *Equal*: the same number of queries, or equal to the digits that the paper prints. *Agrees*: the paper's number lies in the
+# 95 % interval and within 1 pp. *Differs*: outside both. *Cannot tell*: anything else; the reason stands beside it.
+
+# %% tags=["remove-input", "full-width"]
+title = page.dataset_titles[page.dataset]
+pages.verdicts.verdicts_table(
+    studies.verdicts.of_curve(number.table, "Fig. 6a", title, "ratio"),
+    studies.verdicts.of_curve(distance.table, "Fig. 6b", title, "distance", " m"),
+    titles=page.method_titles,
+)
+
 # %% tags=["remove-input"]
 display(pages.common.download(number.table, "fig06a_number"))
 display(pages.common.download(distance.table, "fig06b_distance"))

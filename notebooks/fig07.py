@@ -51,6 +51,18 @@ pages.distractors.condition(study.table, page.method_titles, query_condition=pag
 # %% tags=["remove-input"]
 pages.distractors.reported_condition()
 
+# %% [markdown]
+# ## Number by number
+#
+# *Equal*: the same number of queries, or equal to the digits that the paper prints. *Agrees*: the paper's number lies in the
+# 95 % interval and within 1 pp. *Differs*: outside both. *Cannot tell*: anything else; the reason stands beside it.
+
+# %% tags=["remove-input", "full-width"]
+pages.verdicts.verdicts_table(
+    studies.verdicts.of_curve(study.table, "Fig. 7", page.dataset_titles[page.dataset], "condition"),
+    titles=page.method_titles,
+)
+
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "fig07_condition"))
 pages.provenance.provenance(page, study)

@@ -34,6 +34,7 @@ from artifact.pages.scope import open_page
 page = open_page(
     profile, datasets=datasets, methods=methods, fractions=fractions, iterations=iterations, k=k, seed=seed
 )
+page = page.single_stage()
 study = studies.suppression.fitting_fraction(
     page.manifest, page.datasets, page.methods, fractions, iterations=iterations, k=k, seed=seed
 )
@@ -52,6 +53,16 @@ Markdown(f"Mean over {means['pairs'].min()} method–dataset pairs.")
 
 # %% tags=["remove-input"]
 pages.suppression.reported_fraction_curves()
+
+# %% [markdown]
+# ## Number by number
+#
+# *Equal*: the same number of queries, or equal to the digits that the paper prints. *Agrees*: the paper's number lies in the
+# 95 % interval and within 1 pp. *Differs*: outside both. *Cannot tell*: anything else; the reason stands beside it.
+
+# %% tags=["remove-input", "full-width"]
+compared = [studies.verdicts.of_fractions(study.table)] if (iterations, k) == (35, 1) else []
+pages.verdicts.verdicts_table(*compared, titles=page.method_titles)
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "fig10_fitting_fraction"))

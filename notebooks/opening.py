@@ -27,6 +27,7 @@
 profile = "demo"
 datasets = None  # names from the manifest or folders; None takes all of the profile
 methods = None  # names from the manifest; None takes all of the profile
+fractions = [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5]  # of Fig. 10
 seed = 0
 
 # %% tags=["hide-input"]
@@ -35,8 +36,8 @@ from IPython.display import display
 from artifact import pages
 from artifact.pages.scope import open_page
 
-page = open_page(profile, datasets=datasets, methods=methods, seed=seed)
-collected = pages.opening.collect(page, seed=seed)
+page = open_page(profile, datasets=datasets, methods=methods, fractions=fractions, seed=seed)
+collected = pages.opening.collect(page, fractions, seed=seed)
 
 # %% tags=["remove-input"]
 display(pages.opening.scope_notice(page))

@@ -63,6 +63,15 @@ pages.recall.beside_reported(study.table, page.method_titles, k=k)
 # %% tags=["remove-input", "full-width"]
 pages.recall.reported_recall_table()
 
+# %% [markdown]
+# ## Number by number
+#
+# *Equal*: the same number of queries, or equal to the digits that the paper prints. *Agrees*: the paper's number lies in the
+# 95 % interval and within 1 pp. *Differs*: outside both. *Cannot tell*: anything else; the reason stands beside it.
+
+# %% tags=["remove-input", "full-width"]
+pages.verdicts.verdicts_table(studies.verdicts.of_recall(study.table), titles=page.method_titles)
+
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "tab03_recall"))
 pages.provenance.provenance(page, study)

@@ -50,6 +50,7 @@ page = open_page(
     iterations=iterations,
     seed=seed,
 )
+page = page.with_statistics().single_stage()
 study = studies.within_session.within_session(
     page.manifest, page.datasets, page.methods, statistics, fraction=fraction, iterations=iterations, seed=seed
 )

@@ -125,7 +125,7 @@ def plan(
         wanted = {**base, **entry.parameters.get(name, {}), **here, **asked.get(name, {})}
         values = parameters.merged(path, wanted, manifest)
         names, methods_used = _scope(manifest, profile, values)
-        if "single_stage=True" in path.read_text(encoding="utf-8"):
+        if "single_stage" in path.read_text(encoding="utf-8"):
             methods_used = tuple(single_stage(manifest, methods_used))
         tasks.append(Task(path, values, names, methods_used))
     if unused := set(everywhere) - used:

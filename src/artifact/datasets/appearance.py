@@ -24,6 +24,11 @@ def appearance_key(traversal: Traversal) -> str:
     return store.key(stage="appearance", revision=REVISION, images=traversal.digest)
 
 
+def has_appearance(traversal: Traversal) -> bool:
+    """Whether the statistics of a traversal can be had: its images are here, or their statistics ship."""
+    return traversal.has_images or shipped.appearance(appearance_key(traversal)) is not None
+
+
 def appearance(traversal: Traversal, cache: Path) -> np.ndarray:
     """Measure the statistics of every image, or read them if they are stored or shipped.
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from artifact import store
 from artifact.extraction import partial
+from artifact.manifest import CACHE_VARIABLE
 from artifact.manifest.entries import ManifestError, MethodEntry
 
 if TYPE_CHECKING:
@@ -151,7 +152,7 @@ def check_disk(needs: Iterable[Need], folder: Path, say: Callable[[str], object]
     if missing > free:
         raise store.StoreError(
             f"{folder}: {what} need {in_words(missing)} of disk, {in_words(free)} are free. Free some, set "
-            f"{store.CACHE_VARIABLE} to a folder on a larger disk, or store local features as float16 (half the "
+            f"{CACHE_VARIABLE} to a folder on a larger disk, or store local features as float16 (half the "
             f"size): 'dtype: float16' below 'local_features' in the method's manifest entry"
         )
     if say is not None:

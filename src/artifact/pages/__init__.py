@@ -17,5 +17,6 @@ from artifact.pages import (  # noqa: F401
     scope,
     style,
     suppression,
+    verdicts,
     within_session,
 )

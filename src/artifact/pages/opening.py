@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -13,15 +14,7 @@ from artifact.pages import composition, distractors, mixed_database, recall, sup
 from artifact.pages.common import Finding, markup, number
 from artifact.pages.scope import NothingToShowError, Page
 from artifact.studies.common import Study
-
-DISTANCES = (25.0, 50.0, 75.0, 100.0, 150.0, 200.0)
-"""Minimum distractor distances of Fig. 6b, in metres."""
-
-RATIOS = (0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1)
-"""Distractor-to-query ratios of Fig. 6a."""
-
-FRACTIONS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)
-"""Query fitting fractions of Fig. 10."""
+from artifact.studies.verdicts import DISTANCES, RATIOS
 
 
 @dataclass(frozen=True)
@@ -33,8 +26,18 @@ class Collected:
     studies: tuple[Study, ...]
 
 
-def collect(page: Page, *, seed: int = 0) -> Collected:
-    """Evaluate every claim that the datasets at hand can speak to, in the order of the paper."""
+def collect(page: Page, fractions: Sequence[float], *, seed: int = 0) -> Collected:
+    """Evaluate every claim that the datasets at hand can speak to, in the order of the paper.
+
+    Parameters
+    ----------
+    page
+        Its datasets and methods; claims on suppression take the single-stage ones.
+    fractions
+        Query fitting fractions of Fig. 10.
+    seed
+        Seed of all random choices.
+    """
     titles = page.method_titles
     measured = studies.recall.recall_table(page.manifest, page.datasets, page.methods, seed=seed)
     found = [
@@ -47,7 +50,7 @@ def collect(page: Page, *, seed: int = 0) -> Collected:
         (_number_and_distance, {"unit": "metres"}),
         (_condition, {"distractor_traversals": True}),
         (_mixed, {"same_condition_traversal": True}),
-        (_suppression, None),
+        (functools.partial(_suppression, fractions=fractions), None),
     ):
         try:
             findings, more = part(page if needs is None else page.choose(**needs), seed)
@@ -82,6 +85,7 @@ def _condition(page: Page, seed: int) -> tuple[list[Finding], list[Study]]:
 
 def _mixed(page: Page, seed: int) -> tuple[list[Finding], list[Study]]:
     """Figs. 2 and 9, on the first dataset with a further traversal of the query's kind of condition."""
+    page = page.single_stage()
     mixed, suppressed = (
         {method: study(page.manifest, page.dataset, method, seed=seed) for method in page.methods}
         for study in (studies.mixed_database.mixed_database, studies.mixed_database.mixed_database_suppressed)
@@ -93,14 +97,15 @@ def _mixed(page: Page, seed: int) -> tuple[list[Finding], list[Study]]:
     ], [Study(pd.DataFrame(), inputs)]
 
 
-def _suppression(page: Page, seed: int) -> tuple[list[Finding], list[Study]]:
+def _suppression(page: Page, seed: int, *, fractions: Sequence[float]) -> tuple[list[Finding], list[Study]]:
     """Figs. 8 and 10, Tables IV and V."""
+    page = page.single_stage()
     manifest, names, methods, titles = page.manifest, page.datasets, page.methods, page.method_titles
     order = studies.composition.order_of_fitting(manifest, names)
     changes = studies.suppression.suppression_table(manifest, names, methods, seed=seed)
     multi = studies.composition.single_against_multi(manifest, order, methods, seed=seed)
     irrelevant = studies.composition.irrelevant_conditions(manifest, order, methods, seed=seed)
-    fractions = studies.suppression.fitting_fraction(manifest, names, methods, FRACTIONS, seed=seed)
+    by_fraction = studies.suppression.fitting_fraction(manifest, names, methods, fractions, seed=seed)
     found = [
         suppression.labels_less_accessible(changes.table),
         suppression.suppression_raises_dar(changes.table, titles),
@@ -110,8 +115,8 @@ def _suppression(page: Page, seed: int) -> tuple[list[Finding], list[Study]]:
     if len(irrelevant.table):
         summary = studies.composition.summary(irrelevant.table, ["suppression", "pair"])
         found.append(composition.irrelevant_conditions_unharmed(summary))
-    found.append(suppression.a_tenth_suffices(studies.suppression.mean_by_fraction(fractions.table)))
-    return found, [changes, multi, irrelevant, fractions]
+    found.append(suppression.a_tenth_suffices(studies.suppression.mean_by_fraction(by_fraction.table)))
+    return found, [changes, multi, irrelevant, by_fraction]
 
 
 def scope_notice(page: Page) -> HTML:

@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from artifact.metrics.statistics import rank_agreement
 from artifact.pages.common import CLEARLY_PP, SIMILAR_PP, claim, interval, join, listed, marks, markup, number, table
 from artifact.pages.style import embed, marker_options, method_legend, percent_axis
-from artifact.studies import reported
+from artifact.pages.verdicts import mark_of
+from artifact.studies import reported, verdicts
 from artifact.studies.common import METRICS
 from artifact.studies.recall import with_means
 
@@ -99,26 +100,25 @@ def _cell(column: _Column, index: int, classes: str) -> HTML:
 def beside_reported(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> HTML:
     """Show every measured value with its interval and, where the paper has one, the reported value and the verdict."""
     headings = {metric: f"{metric}@{k} %" for metric in METRICS}
+    judged = verdicts.of_recall(frame).set_index(["dataset", "method", "quantity"])
     rows = [
         {"Dataset": row["title"], "Method": titles[row["method"]]}
-        | {heading: _beside(row, metric) for metric, heading in headings.items()}
+        | {heading: _beside(row, metric, judged) for metric, heading in headings.items()}
         | {"Queries": row["queries"], "From": row["origin"]}
         for row in frame.to_dict("records")
     ]
     return table(rows, numeric=[*headings.values(), "Queries"])
 
 
-def _beside(row: Mapping[str, Any], metric: str) -> HTML:
+def _beside(row: Mapping[str, Any], metric: str, judged: pd.DataFrame) -> HTML:
     """One cell: the measured value, its interval, and the paper's value with the verdict."""
     bounds = interval(row[f"{metric}_low"], row[f"{metric}_high"])
     cell = markup("{}<small>{}</small>", number(row[metric], digits=2), bounds)
-    expected = row[f"reported_{metric}"]
-    if pd.isna(expected):
+    place = (row["title"], row["method"], f"{metric}@1 %")
+    if place not in judged.index:
         return cell
-    # RSR is a ratio of two counts, so it has no resolution of one query.
-    judged = reported.verdict(row[metric], expected, None if metric == "RSR" else row["queries"])
-    beside = '{}<small>paper {} <span class="verdict {}">{}</span></small>'
-    return markup(beside, cell, number(expected), judged, judged)
+    found = judged.loc[place]
+    return markup("{}<small>paper {} {}</small>", cell, found["reported"], mark_of(found["verdict"], found["why"]))
 
 
 def scatter(

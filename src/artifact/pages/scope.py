@@ -8,9 +8,11 @@ from typing import Any, Literal
 
 from artifact import datasets as data
 from artifact import manifest as manifests
+from artifact.datasets.appearance import has_appearance
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError
 from artifact.pages.style import use_style
+from artifact.studies.common import single_stage
 
 __all__ = ["NothingToShowError", "Page", "open_page"]
 
@@ -164,6 +166,21 @@ class Page:
         if self.asked.get("dataset") is not None:
             raise ManifestError(f"dataset {self.dataset!r}: {need}")
         raise NothingToShowError(f"{need}; no dataset of profile {self.profile!r} is one")
+
+    def single_stage(self) -> Page:
+        """Return the page with the methods that do not re-rank: suppression takes these alone, as in the paper."""
+        methods = tuple(single_stage(self.manifest, self.methods))
+        if not methods:
+            raise NothingToShowError(f"this page needs a method that does not re-rank; found {', '.join(self.methods)}")
+        return replace(self, methods=methods)
+
+    def with_statistics(self) -> Page:
+        """Return the page with the datasets of which image statistics are at hand."""
+        queries = {name: data.load(self.manifest, name).query for name in self.datasets}
+        names = tuple(name for name, query in queries.items() if has_appearance(query))
+        if not names:
+            raise NothingToShowError("this page needs images or their statistics; no dataset of this run has them")
+        return self.only(*names)
 
     def _with_one_method(self, single_stage: bool) -> Page:
         for name in reversed(self.methods):
