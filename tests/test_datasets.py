@@ -132,7 +132,9 @@ def test_missing_folders_say_how_to_obtain_the_dataset(tmp_path):
 
 def test_an_empty_folder_and_unknown_names(project):
     loaded = manifest.load(project / "data_manifest.yaml")
-    with pytest.raises(ManifestError, match="no dataset 'avenue'; the datasets are 'street', and 'avenue' is no folder either"):
+    with pytest.raises(
+        ManifestError, match="no dataset 'avenue'; the datasets are 'street', and 'avenue' is no folder either"
+    ):
         datasets.load(loaded, "avenue")
     with pytest.raises(ManifestError, match="no traversal 'dawn'; the traversals are day, night"):
         datasets.load(loaded, "street", ["dawn"])

@@ -1,11 +1,11 @@
-"""The command line: ``python -m artifact {reproduce,data,extract,run,book,evaluate,verify,bench,status}``."""
+"""The command line: ``python -m artifact {reproduce,data,extract,run,book,evaluate,verify,bench,plan,status}``."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +113,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     sub.add_argument("--methods", nargs="*", metavar="METHOD",
                      help="time these methods instead (default: the paper's), for Table II")  # fmt: skip
+    sub = command("plan", _plan, "say what a whole run takes on this machine: time, memory and disk of every step")
+    scope(sub)
+    sub.add_argument("--devices", "--device", metavar="DEVICES", help="devices of extraction, as for extract")
     sub = command("status", _status, "show the state of data, descriptors and the last run")
     scope(sub)
     return parser
@@ -229,8 +232,7 @@ def _extract(options: argparse.Namespace) -> None:
             sys.stdout.write(f"{path}\n")
         return
     if options.dry_run:
-        for line in plan.lines(manifest, options.profile, device=options.devices, precision=options.precision):
-            sys.stdout.write(f"{line}\n")
+        _print(plan.lines(manifest, options.profile, device=options.devices, precision=options.precision))
         return
     traversals = [traversal for name in profile.datasets for traversal in runner.load_all(manifest, name)]
     weights.require({name: manifest.method(name) for name in profile.methods})
@@ -273,7 +275,17 @@ def _bench(options: argparse.Namespace) -> None:
         lines = bench.run(manifest)
     else:
         names = options.methods or [name for name, entry in manifest.methods.items() if entry.kind == "paper"]
-        lines = timing.record(manifest, names, forward.devices(None)[0])
+        lines = timing.store_times(manifest, names, forward.devices(None)[0])
+    _print(lines)
+
+
+def _plan(options: argparse.Namespace) -> None:
+    from artifact.commands import plan
+
+    _print(plan.run_lines(_manifest(options), options.profile, device=options.devices))
+
+
+def _print(lines: Iterable[str]) -> None:
     for line in lines:
         sys.stdout.write(f"{line}\n")
         sys.stdout.flush()

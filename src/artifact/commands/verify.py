@@ -11,6 +11,7 @@ from artifact.datasets import shipped
 from artifact.manifest import Manifest
 from artifact.methods import weights
 from artifact.methods.weights import lock
+from artifact.studies import reported
 
 
 def verify(manifest: Manifest, profile: str) -> tuple[list[str], int]:
@@ -31,7 +32,7 @@ def verify(manifest: Manifest, profile: str) -> tuple[list[str], int]:
     lines, damaged = _verify_files(manifest.cache)
     more, shipped_damaged = _verify_files(shipped.folder())
     weighed, changed = _verify_weights(manifest, profile)
-    compared, different = _compare(manifest, profile)
+    compared, different = _against_the_paper(manifest, profile)
     return [*lines, *more, *weighed, *compared], damaged + shipped_damaged + changed + different
 
 
@@ -62,15 +63,15 @@ def _verify_weights(manifest: Manifest, profile: str) -> tuple[list[str], int]:
     return [f"{checked} files of weights, {len(faults)} changed", *faults] if checked else [], len(faults)
 
 
-def _compare(manifest: Manifest, profile: str) -> tuple[list[str], int]:
+def _against_the_paper(manifest: Manifest, profile: str) -> tuple[list[str], int]:
     entry = manifest.profile(profile)
-    reported = {name: e for name in entry.datasets if (e := manifest.dataset(name)).reported_as}
+    names = [name for name in entry.datasets if manifest.dataset(name).reported_as]
     methods = [name for name in entry.methods if name in reported.method_titles()]
-    if not reported or not methods:
-        what = "dataset" if not reported else "method"
+    if not names or not methods:
+        what = "dataset" if not names else "method"
         return [f"profile {profile!r} has no {what} of the paper: nothing to compare with its numbers"], 0
     lines, different = [], 0
-    for name in reported:
+    for name in names:
         missing = datasets.describe_missing(manifest, name)
         if missing:
             lines.append(f"MISSING   {name}: {missing.splitlines()[0]}")
