@@ -103,12 +103,17 @@ def test_counts_are_those_of_the_loaded_traversals(project):
         (folder / name / "positions.csv").write_text("\n".join(["image,x,y", *lines]))
     (folder / "list.txt").write_text("\n".join(f"frame{i}.png" for i in range(3, 17)))
     drive = {
-        "title": "Drive", "kind": "folder", "threshold": {"value": 25, "unit": "metres"}, "query": "day", "database": "night",
+        "title": "Drive",
+        "kind": "folder",
+        "threshold": {"value": 25, "unit": "metres"},
+        "query": "day",
+        "database": "night",
         "traversals": {
             "day": {"condition": "day", "spacing": 1.0, "positions": "csv"},
-            "night": {"condition": "night", "image_list": "list.txt"}, "dusk": {"condition": "dusk"},
+            "night": {"condition": "night", "image_list": "list.txt"},
+            "dusk": {"condition": "dusk"},
         },
-    }  # fmt: skip
+    }
     loaded = manifest.load(write_manifest(project, tiny_manifest(drive=drive)))
     parts = extraction_costs.known_parts(loaded, "drive")
     assert [part.name for part in parts] == ["day", "night"]  # dusk is neither here nor needed
@@ -264,8 +269,14 @@ def test_make_passes_the_options_on():
     assert asked("DRY_RUN=1") == ["extract", "--profile", "paper", "--dry-run"]
     assert asked("DRY_RUN=0") == ["extract", "--profile", "paper"]
     assert asked("DEVICES=cuda:0,cuda:1", "PRECISION=bfloat16") == [
-        "extract", "--profile", "paper", "--devices", "cuda:0,cuda:1", "--precision", "bfloat16",
-    ]  # fmt: skip
+        "extract",
+        "--profile",
+        "paper",
+        "--devices",
+        "cuda:0,cuda:1",
+        "--precision",
+        "bfloat16",
+    ]
 
 
 @pytest.mark.slow
@@ -302,9 +313,19 @@ def test_recorded_times_are_kept_for_the_book(project, monkeypatch):
 # -- the whole run --------------------------------------------------------------------------------------------------
 
 RATES = {
-    "product": 1e-11, "pair": 1e-9, "view": 1e-9, "gram": 1e-11, "eigen": 1e-10, "inlp": 1e-8, "scale": 1e-9,
-    "probe_dual": 1e-7, "probe_primal": 1e-7, "umap": 1e-5, "cosine": 1e-10, "match (3, 4, 6)": 1e-3,
-}  # fmt: skip
+    "product": 1e-11,
+    "pair": 1e-9,
+    "view": 1e-9,
+    "gram": 1e-11,
+    "eigen": 1e-10,
+    "inlp": 1e-8,
+    "scale": 1e-9,
+    "probe_dual": 1e-7,
+    "probe_primal": 1e-7,
+    "umap": 1e-5,
+    "cosine": 1e-10,
+    "match (3, 4, 6)": 1e-3,
+}
 LOCAL = {"rerank": 4, "local_features": {"shape": [3, 4, 6]}}
 
 

@@ -87,10 +87,18 @@ def _parser() -> argparse.ArgumentParser:
     scope(sub)
     sub = command("extract", _extract, "extract the descriptors of a profile")
     scope(sub)
-    sub.add_argument("--devices", "--device", metavar="DEVICES",
-                     help="for example cpu, cuda:1, cuda:0,cuda:1 or all (default: one CUDA device if there is any)")  # fmt: skip
-    sub.add_argument("--precision", choices=("float32", "bfloat16", "float16"), default="float32",
-                     help="mixed precision gives other descriptors, stored beside the former (default: float32)")  # fmt: skip
+    sub.add_argument(
+        "--devices",
+        "--device",
+        metavar="DEVICES",
+        help="for example cpu, cuda:1, cuda:0,cuda:1 or all (default: one CUDA device if there is any)",
+    )
+    sub.add_argument(
+        "--precision",
+        choices=("float32", "bfloat16", "float16"),
+        default="float32",
+        help="mixed precision gives other descriptors, stored beside the former (default: float32)",
+    )
     sub.add_argument("--dry-run", action="store_true", help="extract nothing; say what it takes on this machine")
     sub.add_argument(
         "--ship", metavar="DATASET", help="for maintainers: store this dataset's descriptors in the package"
@@ -111,8 +119,9 @@ def _parser() -> argparse.ArgumentParser:
         _bench,
         "time the ranking pass against a bare matrix product, and extraction against the model",
     )
-    sub.add_argument("--methods", nargs="*", metavar="METHOD",
-                     help="time these methods instead (default: the paper's), for Table II")  # fmt: skip
+    sub.add_argument(
+        "--methods", nargs="*", metavar="METHOD", help="time these methods instead (default: the paper's), for Table II"
+    )
     sub = command("plan", _plan, "say what a whole run takes on this machine: time, memory and disk of every step")
     scope(sub)
     sub.add_argument("--devices", "--device", metavar="DEVICES", help="devices of extraction, as for extract")

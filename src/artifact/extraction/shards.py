@@ -101,9 +101,15 @@ def unreadable_images(label: str, messages: Sequence[str], n: int) -> Extraction
 
 
 def describe(
-    traversal: Traversal, entry: MethodEntry, forward: Forward, rows_of_batches: Sequence[slice], *,
-    workers: int | None = None, work: Work | None = None, second: Callable[[slice, np.ndarray], Any] | None = None,
-) -> Iterator[tuple[slice, np.ndarray]]:  # fmt: skip
+    traversal: Traversal,
+    entry: MethodEntry,
+    forward: Forward,
+    rows_of_batches: Sequence[slice],
+    *,
+    workers: int | None = None,
+    work: Work | None = None,
+    second: Callable[[slice, np.ndarray], Any] | None = None,
+) -> Iterator[tuple[slice, np.ndarray]]:
     """Yield the rows and descriptors of each batch.
 
     Parameters
@@ -253,9 +259,7 @@ def _received(receiver: Connection, process: Any) -> tuple[str, Any]:
         return "error", ExtractionError(f"{process.name}: its process {ended}{advice}. Run again to go on")
 
 
-def _shard_process(
-    sender: Connection, job: Job, part: Sequence[slice], device: str, number: int, threads: int
-) -> None:  # fmt: skip
+def _shard_process(sender: Connection, job: Job, part: Sequence[slice], device: str, number: int, threads: int) -> None:
     reading.end_with_parent()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the journal is written
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it too, and ends this process
