@@ -8,7 +8,7 @@ PYTHON ?= $(shell for p in python3 python3.12 python3.13 python3.11; do \
 PARAMETERS = $(foreach p,$(SET),-p '$(p)')
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test book data extract verify bench status lint lock clean
+.PHONY: help setup reproduce test book data extract verify bench plan status lint lock clean
 
 help: ## show this help
 	@echo "make reproduce            set up, run the demo, build the book (all that a first run needs)"
@@ -16,9 +16,9 @@ help: ## show this help
 	@echo
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | awk -F'\t' '{printf "  %-11s %s\n", $$1, $$2}'
 	@echo
-	@echo "PROFILE=demo              profile of data_manifest.yaml for reproduce, data, extract, verify, status"
+	@echo "PROFILE=demo              profile of data_manifest.yaml for reproduce, data, extract, plan, verify, status"
 	@echo "SET='k=5 fig06.seed=1'    notebook parameters for reproduce, for all notebooks or one"
-	@echo "DEVICES=cuda:0,cuda:1     devices of extract (all: every CUDA device); PRECISION=bfloat16 mixed precision"
+	@echo "DEVICES=cuda:0,cuda:1     devices of extract and plan (all: every CUDA device); PRECISION=bfloat16 mixed precision"
 	@echo "METHODS='all'             bench: time the paper's methods (or those named), for Table II"
 	@echo "ARTIFACT_DATA_ROOT=DIR    folder of the real datasets; ARTIFACT_CACHE=DIR folder of stored results"
 
@@ -45,6 +45,9 @@ verify: $(VENV)/.ready ## check stored results against their sidecars and measur
 
 bench: $(VENV)/.ready ## time ranking and extraction on this machine
 	@$(RUN) bench $(if $(METHODS),--methods $(filter-out all,$(METHODS)))
+
+plan: $(VENV)/.ready ## say what a whole run of a profile takes on this machine: time, memory, disk
+	@$(RUN) plan --profile $(PROFILE) $(if $(DEVICES),--devices $(DEVICES))
 
 status: $(VENV)/.ready ## show what is ready and what is missing
 	@$(RUN) status --profile $(PROFILE)

@@ -592,8 +592,9 @@ def test_the_bench_compares_extraction_with_the_model(project):
     (line,) = bench.extraction_lines(loaded, "hog", 4, device="cpu")
     found = re.match(
         r"extraction of 20 images with HOG on cpu: ([\d.]+) images/s, the model alone ([\d.]+) images/s, (\d+) %; "
-        r"to read an image takes a core ([\d.]+) ms, which alone leaves the model (\d+) % of \d+ busy cores$", line,
-    )  # fmt: skip
+        r"to read an image takes a core ([\d.]+) ms, which alone leaves the model (\d+) % of \d+ busy cores$",
+        line,
+    )
     rate, alone, percentage = (float(found[group]) for group in (1, 2, 3))
     assert abs(100 * rate / alone - percentage) < 1
     assert 0 < float(found[5]) < 100
@@ -609,8 +610,12 @@ def test_the_second_output_comes_with_its_rows(project):
         return torch.nn.functional.normalize(flat[:, :108], dim=-1), (flat[:, :8] > 0).to(torch.int8)
 
     run = forward.Forward(both, entry, torch.device("cpu"))
-    rows = [rows for rows, _ in shards.describe(
-        traversal, entry, run, shards.batches(12, 5), workers=0, second=lambda *one: received.append(one))]  # fmt: skip
+    rows = [
+        rows
+        for rows, _ in shards.describe(
+            traversal, entry, run, shards.batches(12, 5), workers=0, second=lambda *one: received.append(one)
+        )
+    ]
     assert [one for one, _ in received] == rows == [slice(0, 5), slice(5, 10), slice(10, 12)]
     assert all(values.dtype == np.int8 for _, values in received)
     images, _ = reading.prepare_batch(traversal.image_paths(), entry.preprocessing)
@@ -630,8 +635,10 @@ def test_images_of_different_sizes_go_one_by_one(project):
 
     content = tiny_manifest()
     content["methods"]["colour"] = THUMBNAIL | {
-        "dimension": 3, "builder": f"{__name__}:outside", "preprocessing": {"resize": "native", "mean": [0.0] * 3, "std": [1.0] * 3},
-    }  # fmt: skip
+        "dimension": 3,
+        "builder": f"{__name__}:outside",
+        "preprocessing": {"resize": "native", "mean": [0.0] * 3, "std": [1.0] * 3},
+    }
     Image.new("RGB", (20, 90), (10, 200, 30)).save(project / "data" / "street" / "day" / "frame2.png")
     loaded = manifest.load(write_manifest(project, content))
     traversal = datasets.load_traversal(loaded, "street", "day")

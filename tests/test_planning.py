@@ -10,9 +10,10 @@ import torch
 from conftest import HOG, REPOSITORY, tiny_manifest, write_images, write_manifest
 
 from artifact import datasets, manifest
-from artifact.commands import cli, plan
-from artifact.commands.plan import Need, Part
+from artifact.commands import cli, costs, plan, probes
+from artifact.extraction import costs as extraction_costs
 from artifact.extraction import extract, timing
+from artifact.extraction.costs import ExtractionCost, Part
 from artifact.extraction.timing import Timing
 from artifact.manifest import entries
 
@@ -89,8 +90,8 @@ def test_descriptors_of_another_time_do_not_count_as_stored(project, quick, chan
         loaded = manifest.load(write_manifest(project, content))
     else:
         (project / "data" / "street" / "day" / "frame3.png").unlink()
-    parts = plan.known_parts(loaded, "street")
-    assert not any(plan.is_stored(loaded, "hog", "street", part, "float32") for part in parts)
+    parts = extraction_costs.known_parts(loaded, "street")
+    assert not any(extraction_costs.is_stored(loaded, "hog", "street", part, "float32") for part in parts)
 
 
 def test_counts_are_those_of_the_loaded_traversals(project):
@@ -102,14 +103,19 @@ def test_counts_are_those_of_the_loaded_traversals(project):
         (folder / name / "positions.csv").write_text("\n".join(["image,x,y", *lines]))
     (folder / "list.txt").write_text("\n".join(f"frame{i}.png" for i in range(3, 17)))
     drive = {
-        "title": "Drive", "kind": "folder", "threshold": {"value": 25, "unit": "metres"}, "query": "day", "database": "night",
+        "title": "Drive",
+        "kind": "folder",
+        "threshold": {"value": 25, "unit": "metres"},
+        "query": "day",
+        "database": "night",
         "traversals": {
             "day": {"condition": "day", "spacing": 1.0, "positions": "csv"},
-            "night": {"condition": "night", "image_list": "list.txt"}, "dusk": {"condition": "dusk"},
+            "night": {"condition": "night", "image_list": "list.txt"},
+            "dusk": {"condition": "dusk"},
         },
-    }  # fmt: skip
+    }
     loaded = manifest.load(write_manifest(project, tiny_manifest(drive=drive)))
-    parts = plan.known_parts(loaded, "drive")
+    parts = extraction_costs.known_parts(loaded, "drive")
     assert [part.name for part in parts] == ["day", "night"]  # dusk is neither here nor needed
     for part in parts:
         assert part.images == len(datasets.load_traversal(loaded, "drive", part.name)) < 20
@@ -157,20 +163,25 @@ def test_each_size_of_input_is_tried_once(project, quick):
 
 
 def test_time_shares_cores_on_the_cpu_and_images_on_cuda(monkeypatch):
-    monkeypatch.setattr(plan.os, "cpu_count", lambda: 4)
-    assert plan.seconds_per_image(Timing(0.5, 0.1, 1, 1), [CPU]) == pytest.approx(0.5 + 0.1 / 4)
+    monkeypatch.setattr(extraction_costs.os, "cpu_count", lambda: 4)
+    assert extraction_costs.seconds_per_image(Timing(0.5, 0.1, 1, 1), [CPU]) == pytest.approx(0.5 + 0.1 / 4)
     one, two = [torch.device("cuda", 0)], [torch.device("cuda", 0), torch.device("cuda", 1)]
-    assert plan.seconds_per_image(Timing(0.5, 0.1, 1, 1), one) == pytest.approx(0.5)
-    assert plan.seconds_per_image(Timing(0.5, 0.1, 1, 1), two) == pytest.approx(0.25)
-    assert plan.seconds_per_image(Timing(0.01, 0.9, 1, 1), one) == pytest.approx(0.3)  # three readers are too few
+    assert extraction_costs.seconds_per_image(Timing(0.5, 0.1, 1, 1), one) == pytest.approx(0.5)
+    assert extraction_costs.seconds_per_image(Timing(0.5, 0.1, 1, 1), two) == pytest.approx(0.25)
+    assert extraction_costs.seconds_per_image(Timing(0.01, 0.9, 1, 1), one) == pytest.approx(
+        0.3
+    )  # three readers are too few
 
 
 def test_totals_say_when_something_is_unknown():
-    needs = [Need("a", "x", 10, 2, 60.0, 10**9, 1e9), Need("a", "y", 5, 1, None, 10**9, None, ("not timed: because",))]
-    total = plan.table(needs)[-1].split()
+    found = [
+        ExtractionCost("a", "x", 10, 2, 60.0, 10**9, 1e9),
+        ExtractionCost("a", "y", 5, 1, None, 10**9, None, ("not timed: because",)),
+    ]
+    total = plan.table(found)[-1].split()
     assert total == ["total", "15", "3", "over", "1", "min", "0", "s", "2.0", "GB", "1.0", "GB"]
-    assert "?" in plan.table(needs)[2]
-    assert plan.table(needs)[2].endswith("not timed: because")
+    assert "?" in plan.table(found)[2]
+    assert plan.table(found)[2].endswith("not timed: because")
 
 
 # -- trials ---------------------------------------------------------------------------------------------------------
@@ -252,11 +263,20 @@ def test_make_passes_the_options_on():
         return done.stdout.replace("\\\n", " ").split("-m artifact")[-1].split()
 
     assert asked() == ["extract", "--profile", "paper"]
+    command[-2] = "plan"
+    assert asked() == ["plan", "--profile", "paper"]
+    command[-2] = "extract"
     assert asked("DRY_RUN=1") == ["extract", "--profile", "paper", "--dry-run"]
     assert asked("DRY_RUN=0") == ["extract", "--profile", "paper"]
     assert asked("DEVICES=cuda:0,cuda:1", "PRECISION=bfloat16") == [
-        "extract", "--profile", "paper", "--devices", "cuda:0,cuda:1", "--precision", "bfloat16",
-    ]  # fmt: skip
+        "extract",
+        "--profile",
+        "paper",
+        "--devices",
+        "cuda:0,cuda:1",
+        "--precision",
+        "bfloat16",
+    ]
 
 
 @pytest.mark.slow
@@ -269,8 +289,8 @@ def test_devices_and_precision_reach_extraction(project):
     assert done.returncode == 0, done.stderr
     loaded = manifest.load(project / "data_manifest.yaml")
     for part in (Part("day", 12, "here"), Part("night", 12, "here")):
-        assert plan.is_stored(loaded, "hog", "street", part, "bfloat16")
-        assert not plan.is_stored(loaded, "hog", "street", part, "float32")
+        assert extraction_costs.is_stored(loaded, "hog", "street", part, "bfloat16")
+        assert not extraction_costs.is_stored(loaded, "hog", "street", part, "float32")
     command[-2:] = ["--devices", "cuda:77"]
     done = subprocess.run(command, cwd=project, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 1
@@ -281,10 +301,134 @@ def test_recorded_times_are_kept_for_the_book(project, monkeypatch):
     given = manifest.load(project / "data_manifest.yaml")
     times = iter([timing.Timing(0.25, 0.01, 1e9, 1e8, "one image"), timing.Timing(None, None, None, None, "not timed")])
     monkeypatch.setattr(timing, "time_method", lambda *_: next(times))
-    lines = list(timing.record(given, ["hog", "thumbnail"], CPU))
+    lines = list(timing.store_times(given, ["hog", "thumbnail"], CPU))
     assert "0.25 s an image" in lines[0]
     assert "not timed" in lines[1]
-    kept = timing.recorded(given)
+    kept = timing.stored_times(given)
     assert kept["hog"]["seconds"] == 0.25
     assert kept["thumbnail"]["seconds"] is None
     assert kept["hog"]["device"] == "cpu"
+
+
+# -- the whole run --------------------------------------------------------------------------------------------------
+
+RATES = {
+    "product": 1e-11,
+    "pair": 1e-9,
+    "view": 1e-9,
+    "gram": 1e-11,
+    "eigen": 1e-10,
+    "inlp": 1e-8,
+    "scale": 1e-9,
+    "probe_dual": 1e-7,
+    "probe_primal": 1e-7,
+    "umap": 1e-5,
+    "cosine": 1e-10,
+    "match (3, 4, 6)": 1e-3,
+}
+LOCAL = {"rerank": 4, "local_features": {"shape": [3, 4, 6]}}
+
+
+@pytest.fixture
+def rated(monkeypatch):
+    monkeypatch.setattr(probes, "rates", lambda *_: RATES)
+
+
+def steps_of(pair, **changes):
+    entry = entry_of(**changes)
+    extraction = ExtractionCost("m", "d", pair.images, 1, 60.0, 10**6, 1e9)
+    return {step.name: step for step in costs.pair_cost(pair, entry, extraction, RATES).steps}
+
+
+def test_costs_grow_with_images_and_dimensions_as_the_work_does():
+    n, d = 2000, 10_000_000  # so many dimensions that only products count
+    one, more, wider = costs.Pair(n, n, d), costs.Pair(2 * n, 2 * n, d), costs.Pair(n, n, 2 * d)
+    passes = [costs.pass_seconds(pair, RATES) for pair in (one, more, wider)]
+    assert passes[0] == pytest.approx(1.5 * n * n * d * RATES["product"], rel=1e-3)
+    assert passes[1] / passes[0] == pytest.approx(4, rel=1e-3)
+    assert passes[2] / passes[0] == pytest.approx(2, rel=1e-3)
+    base, rows, columns = (
+        steps_of(costs.Pair(*size))
+        for size in ((200_000, 200_000, 64), (400_000, 400_000, 64), (200_000, 200_000, 128))
+    )
+    assert rows["INLP"].seconds / base["INLP"].seconds == pytest.approx(2, rel=0.01)  # more rows than columns: n·d
+    assert columns["INLP"].seconds / base["INLP"].seconds == pytest.approx(2, rel=0.01)
+    assert columns["LEACE"].seconds / base["LEACE"].seconds == pytest.approx(4, rel=0.03)  # n·d²
+    assert rows["probe"].seconds / base["probe"].seconds == pytest.approx(2, rel=0.01)
+    tall, taller = (steps_of(costs.Pair(size, size, 10**6)) for size in (2000, 4000))
+    assert taller["LEACE"].seconds / tall["LEACE"].seconds == pytest.approx(4, rel=0.05)  # fewer rows: n²·d
+    assert base["probe"].memory > 32 * 180_000 * 64
+
+
+def test_an_unknown_rate_makes_its_step_unknown_and_no_other():
+    extraction = ExtractionCost("m", "d", 10, 1, None, 0, None)
+    found = costs.pair_cost(
+        costs.Pair(100, 100, 64), entry_of(), extraction, RATES | {"probe_dual": None, "probe_primal": None}
+    )
+    assert [step.name for step in found.steps if step.seconds is None] == ["extraction", "probe"]
+    assert "?" in plan.run_table([found])[1]
+    assert "over " in plan.run_table([found])[2]
+
+
+def test_two_stage_methods_have_no_suppression(monkeypatch):
+    monkeypatch.setitem(RATES, "match (3, 4, 6)", 1e-3)
+    two = steps_of(costs.Pair(100, 100, 108), **LOCAL)
+    assert list(two) == ["extraction", "ranking"]
+    assert two["ranking"].seconds == pytest.approx(100 * 8 * 1e-3, rel=0.01)  # twice four candidates
+    assert list(steps_of(costs.Pair(100, 100, 108, embedded=True))) == list(costs.STEPS)
+
+
+def test_the_plan_covers_every_pair_and_keeps_nothing_but_its_probes(project, quick, rated, capsys):
+    before = files_below(project)
+    assert cli.main(["plan", "--manifest", str(project / "data_manifest.yaml")]) == 0
+    added = {path: content for path, content in files_below(project).items() if path not in before}
+    assert list(added) == [project / ".cache" / "probes.json"]
+    output = capsys.readouterr().out
+    rows = {tuple(line.split()[:2]) for line in output.splitlines()}
+    assert {("thumbnail", "street"), ("hog", "street")} <= rows
+    assert "will not fit" not in output
+    assert len(quick) == 2
+    assert cli.main(["plan", "--manifest", str(project / "data_manifest.yaml")]) == 0
+    assert capsys.readouterr().out == output
+    assert len(quick) == 2, "what was measured is kept"
+
+
+def test_nothing_is_to_extract_when_all_is_stored(project, quick, rated):
+    loaded = manifest.load(project / "data_manifest.yaml")
+    for name in ("day", "night"):
+        for method in ("hog", "thumbnail"):
+            extract.descriptors(loaded, datasets.load_traversal(loaded, "street", name), method, workers=0)
+    lines = list(plan.run_lines(loaded, "demo"))
+    assert [line.split()[2] for line in lines[1:3]] == ["0.00", "0.00"]
+    assert quick == []
+
+
+def test_what_will_not_fit_is_said(project, quick, rated, monkeypatch):
+    monkeypatch.setattr(timing, "available_memory", lambda: 6e8)
+    loaded = manifest.load(project / "data_manifest.yaml")
+    lines = list(plan.run_lines(loaded, "demo"))
+    assert "will not fit: hog × street × extraction: 2.0 GB of memory needed, 600.0 MB there" in lines
+    assert any(line.startswith("will not fit: thumbnail × street × ranking: ") for line in lines)
+    pairs = [
+        costs.PairCost(name, "d", (costs.Step("extraction", 1.0, 0, size),))
+        for name, size in (("a", 6), ("b", 5), ("c", 4))
+    ]
+    found = [(cost.method, what, needed, left) for cost, _, what, needed, left in costs.that_do_not_fit(pairs, 1, 10)]
+    assert found == [("b", "disk", 5, 4)]
+
+
+def test_a_failed_trial_is_not_kept(tmp_path):
+    trials = timing.Trials(tmp_path / "probes.json")
+    assert trials(lambda: None, lambda found: found is None, probe="x") is None
+    assert not (tmp_path / "probes.json").exists()
+    assert trials(lambda: pytest.fail("tried twice"), lambda found: found is None, probe="x") is None
+    again = timing.Trials(tmp_path / "probes.json")
+    assert again(lambda: [1.0], lambda found: found is None, probe="x") == [1.0]
+    assert timing.Trials(tmp_path / "probes.json")(lambda: pytest.fail("kept"), bool, probe="x") == [1.0]
+
+
+@pytest.mark.slow
+def test_the_probes_measure_every_rate():
+    found = probes.rates(timing.Trials(), [(4, 4, 8)])
+    assert set(found) == {*RATES, "match (4, 4, 8)"} - {"match (3, 4, 6)"}
+    assert all(value is not None and value >= 0 for value in found.values())

@@ -656,7 +656,7 @@ def test_files_that_do_not_fit_are_named(project, small_files):
         extract.second_stage(found, traversal, "local", workers=0)
     path.unlink()
     with pytest.raises(store.StoreError, match=r"00001.npy: missing or made from other inputs"):
-        local_features.load(stored.files)
+        local_features.opened(stored.files)
 
 
 def test_the_disk_is_checked_before_anything_is_computed(project, monkeypatch, capsys):

@@ -326,7 +326,7 @@ def _shared_inputs(manifest: Manifest) -> dict[str, Any]:
     return {
         "sources": sources,
         "manifest": store.digest_of_file(manifest.path),
-        "timings": timing.recorded(manifest),
+        "timings": timing.stored_times(manifest),
         "weights": {name: weights.state(name, entry).summary for name, entry in manifest.methods.items()},
         "versions": {name: version(name) for name in _RUN_WITH},
     }

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import os
-import resource
 import shutil
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import torch
 
-from artifact import methods
+from artifact.commands.probes import synthetic
 from artifact.datasets import Traversal
 from artifact.extraction import forward, reading, shards, timing
+from artifact.extraction.timing import best_of, peak_memory
 from artifact.manifest import Manifest
-from artifact.manifest.entries import MethodEntry
 from artifact.metrics.evaluate import evaluate
 from artifact.suppression.lowrank import LowRankMap
 
@@ -35,37 +32,6 @@ def run(manifest: Manifest) -> Iterator[str]:
     yield from extraction_lines(manifest, "mixvpr", 10)
 
 
-def best_of(function: Callable[[], object], repeats: int = 3) -> float:
-    """Return the shortest of several wall times in seconds."""
-    times = []
-    for _ in range(repeats):
-        begun = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - begun)
-    return min(times)
-
-
-def synthetic(n_queries: int, n_database: int, dimension: int, seed: int = 0) -> tuple[np.ndarray, ...]:
-    """Return unit descriptors and positions of a drive of about a metre a frame, with some condition in them.
-
-    Queries share a direction, so that part of the distractors beat the positives, as real distractors do.
-    """
-    rng = np.random.default_rng(seed)
-
-    def unit(x: np.ndarray) -> np.ndarray:
-        return (x / np.linalg.norm(x, axis=1, keepdims=True)).astype(np.float32)
-
-    database = unit(rng.standard_normal((n_database, dimension), dtype=np.float32))
-    along_queries, along_database = np.arange(n_queries) * 1.0, np.linspace(0, n_queries, n_database)
-    nearest = np.searchsorted(along_database, along_queries).clip(max=n_database - 1)
-    noise = unit(rng.standard_normal((n_queries, dimension), dtype=np.float32))
-    condition = unit(rng.standard_normal((1, dimension), dtype=np.float32))
-    strength = rng.uniform(0.05, 0.5, (n_queries, 1)).astype(np.float32)
-    queries = unit(noise + 0.08 * database[nearest] + strength * condition)
-    places = [np.column_stack([along, np.zeros_like(along)]) for along in (along_queries, along_database)]
-    return queries, database, *places
-
-
 def bare_product(queries: np.ndarray, database: np.ndarray) -> None:
     """Multiply the queries with the database and with themselves, in blocks, and keep nothing."""
     out = np.empty((_BLOCK, max(len(queries), len(database))), np.float32)
@@ -79,13 +45,13 @@ def ranking_lines(n_queries: int, n_database: int, dimension: int) -> Iterator[s
     """Time :func:`artifact.evaluate` on the CPU against the bare product over the same pairs."""
     queries, database, where, database_where = synthetic(n_queries, n_database, dimension)
     evaluate(queries[:64], database[:64], where[:64], database_where[:64], 25.0, device="cpu")  # compiles the kernels
-    before = _peak_mebibytes()
+    before = peak_memory()
     bare = best_of(lambda: bare_product(queries, database))
     results = []
     pass_seconds = best_of(
         lambda: results.append(evaluate(queries, database, where, database_where, 25.0, device="cpu"))
     )
-    extra = _peak_mebibytes() - before
+    extra = (peak_memory() - before) / 2**20
     yield (
         f"ranking {n_queries} queries, {n_database} database images, d = {dimension}: {pass_seconds:.2f} s, bare "
         f"product {bare:.2f} s, ratio {pass_seconds / bare:.2f}; extra memory {extra:.0f} MiB; "
@@ -123,15 +89,13 @@ def extraction_lines(manifest: Manifest, method: str, n_batches: int, device: st
     with tempfile.TemporaryDirectory() as name:
         traversal = _photograph_traversal(Path(name), n_batches * entry.batch_size)
         paths = traversal.image_paths()[: entry.batch_size]
-        built = methods.build(method) if entry.builder is None else methods.model_of(method, entry)
-        model = forward.Forward(built.to(where), entry, where)
+        model = timing.untrained(method, entry, where)
         batch, _ = reading.prepare_batch(paths, entry.preprocessing)
 
         def seconds_alone() -> float:
-            begun = time.perf_counter()
-            for _ in range(n_batches // 2):
-                model(batch)[0].cpu()
-            return (time.perf_counter() - begun) / (n_batches // 2 * entry.batch_size)
+            repeats = n_batches // 2
+            seconds = best_of(lambda: [model(batch)[0].cpu() for _ in range(repeats)], 1)
+            return seconds / (repeats * entry.batch_size)
 
         model(batch)[0].cpu()
         before = seconds_alone()
@@ -140,7 +104,7 @@ def extraction_lines(manifest: Manifest, method: str, n_batches: int, device: st
             for rows, _ in shards.describe(traversal, entry, model, shards.batches(len(traversal), entry.batch_size))
         ]
         alone = (before + seconds_alone()) / 2  # before and after: other work on the machine slows both rates alike
-        read = _reading_seconds(paths, entry)
+        read = timing.reading_seconds(paths, entry)
     (begun, first), (ended, last) = moments[1], moments[-1]
     rate = (last - first) / (ended - begun)
     cores = os.cpu_count() or 1
@@ -152,25 +116,11 @@ def extraction_lines(manifest: Manifest, method: str, n_batches: int, device: st
     )
 
 
-def _reading_seconds(paths: list[Path], entry: MethodEntry) -> float:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        return best_of(lambda: reading.prepare_batch(paths, entry.preprocessing)) / len(paths)
-    finally:
-        torch.set_num_threads(threads)
-
-
 def _photograph_traversal(folder: Path, n: int) -> Traversal:
     names = tuple(f"{index:04d}.jpg" for index in range(n))
     for index, name in enumerate(names):
         if index < _PHOTOGRAPHS:
-            timing.photograph(480, 640, seed=index).save(folder / name, quality=90)
+            timing.photograph(*timing.PHOTOGRAPH, seed=index).save(folder / name, quality=90)
         else:
             shutil.copyfile(folder / names[index % _PHOTOGRAPHS], folder / name)
     return Traversal("bench", "photographs", "none", names, np.arange(n, dtype=np.float64)[:, None], "none", folder)
-
-
-def _peak_mebibytes() -> float:
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 2**20 if sys.platform == "darwin" else peak / 2**10

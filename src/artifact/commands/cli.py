@@ -1,11 +1,11 @@
-"""The command line: ``python -m artifact {reproduce,data,extract,run,book,evaluate,verify,bench,status}``."""
+"""The command line: ``python -m artifact {reproduce,data,extract,run,book,evaluate,verify,bench,plan,status}``."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,10 +87,18 @@ def _parser() -> argparse.ArgumentParser:
     scope(sub)
     sub = command("extract", _extract, "extract the descriptors of a profile")
     scope(sub)
-    sub.add_argument("--devices", "--device", metavar="DEVICES",
-                     help="for example cpu, cuda:1, cuda:0,cuda:1 or all (default: one CUDA device if there is any)")  # fmt: skip
-    sub.add_argument("--precision", choices=("float32", "bfloat16", "float16"), default="float32",
-                     help="mixed precision gives other descriptors, stored beside the former (default: float32)")  # fmt: skip
+    sub.add_argument(
+        "--devices",
+        "--device",
+        metavar="DEVICES",
+        help="for example cpu, cuda:1, cuda:0,cuda:1 or all (default: one CUDA device if there is any)",
+    )
+    sub.add_argument(
+        "--precision",
+        choices=("float32", "bfloat16", "float16"),
+        default="float32",
+        help="mixed precision gives other descriptors, stored beside the former (default: float32)",
+    )
     sub.add_argument("--dry-run", action="store_true", help="extract nothing; say what it takes on this machine")
     sub.add_argument(
         "--ship", metavar="DATASET", help="for maintainers: store this dataset's descriptors in the package"
@@ -111,8 +119,12 @@ def _parser() -> argparse.ArgumentParser:
         _bench,
         "time the ranking pass against a bare matrix product, and extraction against the model",
     )
-    sub.add_argument("--methods", nargs="*", metavar="METHOD",
-                     help="time these methods instead (default: the paper's), for Table II")  # fmt: skip
+    sub.add_argument(
+        "--methods", nargs="*", metavar="METHOD", help="time these methods instead (default: the paper's), for Table II"
+    )
+    sub = command("plan", _plan, "say what a whole run takes on this machine: time, memory and disk of every step")
+    scope(sub)
+    sub.add_argument("--devices", "--device", metavar="DEVICES", help="devices of extraction, as for extract")
     sub = command("status", _status, "show the state of data, descriptors and the last run")
     scope(sub)
     return parser
@@ -236,8 +248,7 @@ def _extract(options: argparse.Namespace) -> None:
             sys.stdout.write(f"{path}\n")
         return
     if options.dry_run:
-        for line in plan.lines(manifest, options.profile, device=options.devices, precision=options.precision):
-            sys.stdout.write(f"{line}\n")
+        _print(plan.lines(manifest, options.profile, device=options.devices, precision=options.precision))
         return
     traversals = [traversal for name in profile.datasets for traversal in runner.load_all(manifest, name)]
     weights.require({name: manifest.method(name) for name in profile.methods})
@@ -280,7 +291,17 @@ def _bench(options: argparse.Namespace) -> None:
         lines = bench.run(manifest)
     else:
         names = options.methods or [name for name, entry in manifest.methods.items() if entry.kind == "paper"]
-        lines = timing.record(manifest, names, forward.devices(None)[0])
+        lines = timing.store_times(manifest, names, forward.devices(None)[0])
+    _print(lines)
+
+
+def _plan(options: argparse.Namespace) -> None:
+    from artifact.commands import plan
+
+    _print(plan.run_lines(_manifest(options), options.profile, device=options.devices))
+
+
+def _print(lines: Iterable[str]) -> None:
     for line in lines:
         sys.stdout.write(f"{line}\n")
         sys.stdout.flush()

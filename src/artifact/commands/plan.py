@@ -1,89 +1,26 @@
-"""What extraction at full size would take on this machine: images, batches, time, disk and memory.
+"""What a run at full size would take on this machine, for people: tables of time, disk and memory.
 
-Nothing is extracted or stored, and neither images nor trained weights need to be there: where images are missing, their
-number is the paper's, and time and memory come from a short trial of each model (:mod:`artifact.extraction.timing`).
+:func:`lines` is the dry run of the extraction and leaves no trace. :func:`run_lines` covers the whole run, and keeps
+nothing but its short measured probes.
 """
 
 from __future__ import annotations
 
-import math
-import os
-import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from PIL import Image
 from tqdm import tqdm
 
-from artifact import store
-from artifact.datasets import folder, shipped
-from artifact.datasets.rendered import is_rendered, rendered
-from artifact.datasets.traversal import Traversal
-from artifact.extraction import extract, local_features, reading, timing
+from artifact.commands import costs, probes
+from artifact.commands.costs import STEPS, PairCost
+from artifact.extraction import local_features, reading, timing
+from artifact.extraction.costs import ExtractionCost, Part, extraction_cost, known_parts
+from artifact.extraction.disk import free_bytes, in_words
+from artifact.extraction.timing import Trials
 from artifact.manifest import Manifest
-from artifact.manifest.entries import DatasetEntry, MethodEntry
-from artifact.methods import weights
 
 if TYPE_CHECKING:
     import torch
-
-ASSUMED_SIZE = (480, 640)
-"""Height and width in pixels of images that are not there."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """One traversal as far as it is known.
-
-    Attributes
-    ----------
-    name
-        The traversal.
-    images
-        Number of images; ``None`` if neither the images nor the manifest tell.
-    state
-        Of its images: ``"here"``, ``"not rendered yet"`` or ``"not there yet"``.
-    image_size
-        Height and width of its first image, in pixels; ``None`` if it is not here.
-    """
-
-    name: str
-    images: int | None
-    state: str
-    image_size: tuple[int, int] | None = None
-
-
-@dataclass(frozen=True)
-class Need:
-    """What one method needs for one dataset; only for images whose descriptors are not stored yet.
-
-    Attributes
-    ----------
-    method, dataset
-        Names in the manifest.
-    images, batches
-        Images and batches that go through the model.
-    seconds
-        Expected time; ``None`` if it is unknown.
-    disk
-        Bytes of the descriptors, and of the local features or codes of a two-stage method.
-    memory
-        Peak bytes of the model's process, or of the CUDA device.
-    notes
-        What is stored, missing, assumed or not measured.
-    """
-
-    method: str
-    dataset: str
-    images: int
-    batches: int
-    seconds: float | None
-    disk: int
-    memory: float | None
-    notes: tuple[str, ...] = ()
 
 
 def lines(manifest: Manifest, profile: str, *, device: str | None = None, precision: str = "float32") -> Iterator[str]:
@@ -103,214 +40,165 @@ def lines(manifest: Manifest, profile: str, *, device: str | None = None, precis
     """
     from artifact.extraction import forward
 
-    chosen = forward.devices(device)
+    devices = forward.devices(device)
+    extractions, _ = _extractions(manifest, profile, Trials(), devices, precision)
+    yield from table(extractions)
+    yield from _footnotes(manifest, extractions, devices)
+    needed, free = sum(cost.disk for cost in extractions), free_bytes(manifest.cache)
+    short = "" if needed <= free else "; too little: set ARTIFACT_CACHE to a folder on a larger disk"
+    yield f"disk: {in_words(needed)} needed, {in_words(free)} free in {manifest.cache}{short}"
+
+
+def run_lines(manifest: Manifest, profile: str, *, device: str | None = None) -> Iterator[str]:
+    """Yield the lines of the plan of a whole run: extraction, ranking, suppression, probes and embedding.
+
+    Parameters
+    ----------
+    manifest, profile, device
+        As for :func:`lines`.
+
+    Raises
+    ------
+    ExtractionError
+        If a device is not on this machine.
+    """
+    from artifact.extraction import forward
+
+    devices = forward.devices(device)
+    trials = Trials(manifest.cache / "probes.json")
+    extractions, parts = _extractions(manifest, profile, trials, devices, "float32")
+    entries = {cost.method: manifest.method(cost.method) for cost in extractions}
+    layouts = {name: local_features.layout_of(entry) for name, entry in entries.items()}
+    rates = probes.rates(trials, sorted({at.shape for at in layouts.values() if at and not at.bits}))
+    shown = embedded_pair(manifest, profile)
+    pairs = []
+    for cost in extractions:
+        embedded = (cost.method, cost.dataset) == shown
+        pair = costs.sizes(manifest, cost.method, cost.dataset, parts[cost.dataset], embedded=embedded)
+        pairs.append(costs.pair_cost(pair, entries[cost.method], cost, rates))
+    yield from run_table(pairs)
+    yield from _footnotes(manifest, extractions, devices)
+    yield (
+        "ranking and later: short probes on made descriptors, scaled by size, right to a factor of about two; memory is "
+        "without descriptors mapped from disk"
+    )
+    unknown = [
+        f"{name}/{traversal}"
+        for name, known in parts.items()
+        for traversal in manifest.dataset(name).traversals
+        if traversal not in {part.name for part in known}
+    ]
+    if unknown:
+        yield f"not counted in extraction, since nobody knows their number of images yet: {', '.join(unknown)}"
+    free, memory = free_bytes(manifest.cache), timing.available_memory()
+    yield f"disk: {in_words(sum(p.disk for p in pairs))} needed, {in_words(free)} free in {manifest.cache}"
+    yield f"memory: at most {in_words(max(p.memory for p in pairs))} needed, {in_words(memory)} available"
+    on_device = {"extraction"} if devices[0].type != "cpu" else set()
+    for pair, step, what, needed, there in costs.that_do_not_fit(pairs, memory, free):
+        if what == "disk" or step.name not in on_device:
+            yield (
+                f"will not fit: {pair.method} × {pair.dataset} × {step.name}: {in_words(needed)} of {what} needed, "
+                f"{in_words(there)} there"
+            )
+
+
+def embedded_pair(manifest: Manifest, profile: str) -> tuple[str, str] | None:
+    """Return the method and dataset of Fig. 3: the first single-stage method, and the dataset with mixed maps."""
+    entry = manifest.profile(profile)
+    methods = [name for name in entry.methods if manifest.method(name).rerank is None]
+    mixed = [name for name in entry.datasets if manifest.dataset(name).same_condition_traversal]
+    names = mixed or entry.datasets
+    return (methods[0], names[0]) if methods and names else None
+
+
+def _extractions(
+    manifest: Manifest, profile: str, trials: Trials, devices: Sequence[torch.device], precision: str
+) -> tuple[list[ExtractionCost], dict[str, list[Part]]]:
     entry = manifest.profile(profile)
     parts = {name: known_parts(manifest, name) for name in entry.datasets}
-    trials: dict[tuple[str, tuple[int, int]], timing.Timing] = {}
-    needs = []
+    found = []
     with tqdm(total=len(entry.methods), unit="method", desc="timing", leave=False, disable=None) as bar:
         for method in entry.methods:
             bar.set_postfix_str(method)
-            for name in entry.datasets:
-                needs.append(_need(manifest, method, name, parts[name], trials, chosen, precision))
+            found += [
+                extraction_cost(manifest, method, name, parts[name], trials, devices, precision)
+                for name in entry.datasets
+            ]
             bar.update()
-    yield from table(needs)
-    yield from _footnotes(manifest, needs, list(trials.values()), chosen)
-
-
-# -- images -------------------------------------------------------------------------------------------------
-
-
-def known_parts(manifest: Manifest, dataset: str) -> list[Part]:
-    """Return the traversals that extraction would describe, with their number of images, reading no image.
-
-    The number is that of the images here, else of the shipped descriptors, else the paper's (query and database).
-    """
-    entry = manifest.dataset(dataset)
-    parts = [_part(manifest, dataset, entry, name) for name in entry.traversals]
-    needed = {entry.query, entry.database}
-    return [part for part in parts if part.name in needed or part.images is not None]
-
-
-def _part(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Part:
-    traversal = entry.traversals[name]
-    images = manifest.data_root / (entry.root or dataset) / (traversal.images or name)
-    if entry.kind == "city":
-        render, label = traversal.render or {}, f"{dataset}/{name}"
-        cache = manifest.cache
-        if not is_rendered(render, cache, label):
-            return Part(name, render.get("frames"), "not rendered yet")
-        images = rendered(render, cache, label, progress=False)
-    if images.is_dir():
-        names = _image_names(manifest, dataset, entry, name, images)
-        with Image.open(images / names[0]) as first:
-            return Part(name, len(names), "here", (first.height, first.width))
-    stored = shipped.traversal(entry.root or dataset, name)
-    if stored is not None:
-        return Part(name, len(stored[0]), "not there yet")
-    listed = {entry.query: entry.paper.queries, entry.database: entry.paper.database} if entry.paper else {}
-    return Part(name, listed.get(name), "not there yet")
-
-
-def _image_names(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str, images: Path) -> list[str]:
-    """Names of a traversal's images as loading would choose them, without reading their bytes."""
-    traversal = entry.traversals[name]
-    root = manifest.data_root / (entry.root or dataset)
-    names = folder.list_images(images, root / traversal.image_list if traversal.image_list else None)
-    if traversal.spacing is None:
-        return names
-    if traversal.positions == "names":
-        positions = folder.positions_from_names(images, names)
-    else:
-        file = root / traversal.positions_file if traversal.positions_file else images / folder.POSITIONS_FILE
-        positions, _ = folder.positions_from_csv(file, names)
-    return [names[index] for index in folder.keep_spacing(positions, traversal.spacing)]
-
-
-def is_stored(manifest: Manifest, method: str, dataset: str, part: Part, precision: str) -> bool:
-    """Whether descriptors of the traversal are stored or shipped, judged by their sidecars: no image is read.
-
-    A sidecar counts if it is of this method as the manifest has it now, and of as many images of this traversal, maybe
-    as part of another dataset. Images that changed since, and not in number, are noticed only by the extraction itself.
-    """
-    entry = manifest.method(method)
-    if part.state == "not there yet":
-        listed = shipped.traversal(manifest.dataset(dataset).root or dataset, part.name)
-        if listed is not None and shipped.descriptors(_key(dataset, part.name, listed[1], method, entry, precision)):
-            return True
-    folders = {name: other.root or name for name, other in manifest.datasets.items()}
-    same = [name for name in folders if folders[name] == folders.get(dataset)] or [dataset]
-    for path in extract.stored_path(manifest, method, "").parent.glob("*.json"):
-        record = store.read_json(path)
-        if record.get("dataset") in same and record["traversal"] == part.name:
-            key = _key(dataset, part.name, record["images"], method, entry, precision)
-            if (record["shape"], record["key"]) == ([part.images, entry.dimension], key):
-                return True
-    return False
-
-
-def _key(dataset: str, name: str, digest: str, method: str, entry: MethodEntry, precision: str) -> str:
-    images = Traversal(dataset, name, "", (), np.zeros((0, 1)), digest)
-    return extract.descriptor_key(images, method, entry, precision)
-
-
-# -- needs --------------------------------------------------------------------------------------------------
-
-
-def _need(
-    manifest: Manifest, method: str, dataset: str, parts: Sequence[Part],
-    trials: dict[tuple[str, tuple[int, int]], timing.Timing], devices: Sequence[torch.device], precision: str,
-) -> Need:  # fmt: skip
-    entry = manifest.method(method)
-    stored = [part for part in parts if is_stored(manifest, method, dataset, part, precision)]
-    todo = [part for part in parts if part not in stored]
-    images = sum(part.images or 0 for part in todo)
-    notes = [part.state for part in todo if part.state != "here"]
-    if todo and weights.state(method, entry).status == "missing":
-        notes.append("weights not there yet")
-    layout = local_features.layout_of(entry)
-    second = images * layout.image_bytes if layout else 0
-    if second:
-        notes.append(f"{size(second)} of it {'hash codes' if layout.bits else 'local features'}")
-    if stored:
-        notes.append("stored" if not todo else f"{len(stored)} of {len(parts)} traversals stored")
-    if unknown := [part.name for part in todo if part.images is None]:
-        notes.append(f"number of images unknown: {', '.join(unknown)}")
-    seconds, memory = 0.0, 0.0
-    for part in todo:
-        trial = _trial(method, entry, part.image_size or ASSUMED_SIZE, trials, devices[0], precision)
-        memory = max(memory, trial.memory or 0)
-        if trial.forward is None:
-            seconds = math.nan
-        else:
-            seconds += (part.images or 0) * seconds_per_image(trial, devices)
-        notes.append(trial.note if trial.forward is None else f"timed with {trial.note}")
-    return Need(
-        method,
-        dataset,
-        images,
-        batches=sum(-(-(part.images or 0) // entry.batch_size) for part in todo),
-        seconds=None if math.isnan(seconds) else seconds,
-        disk=images * entry.dimension * 4 + second,
-        memory=memory or None,
-        notes=tuple(dict.fromkeys(notes)),
-    )
-
-
-def _trial(
-    method: str, entry: MethodEntry, image_size: tuple[int, int],
-    trials: dict[tuple[str, tuple[int, int]], timing.Timing], device: torch.device, precision: str,
-) -> timing.Timing:  # fmt: skip
-    """Time a method once for each size of its input."""
-    from artifact.methods.preprocessing import target_size
-
-    at = (method, target_size(*image_size, entry.preprocessing))
-    if at not in trials:
-        trials[at] = timing.time_method(method, entry, image_size, device, precision)
-    return trials[at]
-
-
-def seconds_per_image(trial: timing.Timing, devices: Sequence[torch.device]) -> float:
-    """Return the expected seconds for an image, reading included.
-
-    On the CPU reading and model share the cores; CUDA devices share the images, and reading goes on beside them.
-    """
-    assert trial.forward is not None
-    assert trial.reading is not None
-    if devices[0].type == "cpu":
-        return trial.forward + trial.reading / (os.cpu_count() or 1)
-    readers = len(devices) * reading.default_workers(len(devices))
-    return max(trial.forward / len(devices), trial.reading / readers)
+    return found, parts
 
 
 # -- printing -----------------------------------------------------------------------------------------------
 
 
-def table(needs: Sequence[Need]) -> list[str]:
-    """Return the needs as lines of equal columns, with their totals."""
-    head = ("method", "dataset", "images", "batches", "time", "disk", "memory", "notes")
-    rows = [
-        (
-            need.method, need.dataset, f"{need.images:,}", f"{need.batches:,}", duration(need.seconds), size(need.disk),
-            size(need.memory) if need.memory else "–", "; ".join(need.notes),
-        )
-        for need in needs
-    ]  # fmt: skip
-    known = [need.seconds for need in needs if need.seconds is not None]
-    total = (
-        "total", "", f"{sum(need.images for need in needs):,}", f"{sum(need.batches for need in needs):,}",
-        ("" if len(known) == len(needs) else "over ") + duration(sum(known)), size(sum(need.disk for need in needs)),
-        size(max((need.memory or 0 for need in needs), default=0)), "",
-    )  # fmt: skip
-    widths = [max(len(row[column]) for row in (head, *rows, total)) for column in range(len(head))]
-    left = {"method", "dataset", "notes"}
+def table(found: Sequence[ExtractionCost]) -> list[str]:
+    """Return what extractions take as lines of equal columns, with their totals."""
+    rows = [("method", "dataset", "images", "batches", "time", "disk", "memory", "notes")]
+    for cost in found:
+        counts = f"{cost.images:,}", f"{cost.batches:,}", duration(cost.seconds)
+        memory = in_words(cost.memory) if cost.memory else "–"
+        rows.append((cost.method, cost.dataset, *counts, in_words(cost.disk), memory, "; ".join(cost.notes)))
+    counts = f"{sum(cost.images for cost in found):,}", f"{sum(cost.batches for cost in found):,}"
+    room = in_words(sum(cost.disk for cost in found)), in_words(max((cost.memory or 0 for cost in found), default=0))
+    rows.append(("total", "", *counts, _total([cost.seconds for cost in found]), *room, ""))
+    return _aligned(rows)
+
+
+def run_table(pairs: Sequence[PairCost]) -> list[str]:
+    """Return hours of each step, peak memory and disk of method–dataset pairs as lines of equal columns, with totals."""
+    rows = [("method", "dataset", *(f"{step} h" for step in STEPS), "total h", "memory", "disk")]
+    for pair in pairs:
+        seconds = {step.name: step.seconds for step in pair.steps}
+        hours = [_hours([seconds[name]]) if name in seconds else "–" for name in STEPS]
+        total = _hours(list(seconds.values()))
+        rows.append((pair.method, pair.dataset, *hours, total, in_words(pair.memory), in_words(pair.disk)))
+    every = {name: [s.seconds for pair in pairs for s in pair.steps if s.name == name] for name in STEPS}
+    totals = [_hours(seconds) for seconds in every.values()]
+    memory = max((pair.memory for pair in pairs), default=0.0)
+    room = in_words(memory), in_words(sum(pair.disk for pair in pairs))
+    rows.append(("total", "", *totals, _hours([one for seconds in every.values() for one in seconds]), *room))
+    return _aligned(rows)
+
+
+def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    """Texts to the left, numbers to the right."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    left = {column for column, name in enumerate(rows[0]) if name in ("method", "dataset", "notes")}
     return [
         "  ".join(
-            text.ljust(width) if name in left else text.rjust(width)
-            for name, text, width in zip(head, row, widths, strict=True)
+            text.ljust(width) if column in left else text.rjust(width)
+            for column, (text, width) in enumerate(zip(row, widths, strict=True))
         ).rstrip()
-        for row in (head, *rows, total)
+        for row in rows
     ]
 
 
-def _footnotes(
-    manifest: Manifest, needs: Sequence[Need], trials: Sequence[timing.Timing], devices: Sequence[torch.device]
-) -> Iterator[str]:
-    yield f"time: on {', '.join(map(str, devices))}, from a short trial of each model; trained weights do not change it"
-    if any("not there yet" in need.notes for need in needs):
+def _hours(seconds: Sequence[float | None]) -> str:
+    known = [one for one in seconds if one is not None]
+    if not known:
+        return "?" if seconds else "–"
+    return f"{'' if len(known) == len(seconds) else 'over '}{sum(known) / 3600:,.2f}"
+
+
+def _total(seconds: Sequence[float | None]) -> str:
+    known = [one for one in seconds if one is not None]
+    return ("" if len(known) == len(seconds) else "over ") + duration(sum(known))
+
+
+def _footnotes(manifest: Manifest, found: Sequence[ExtractionCost], devices: Sequence[torch.device]) -> Iterator[str]:
+    where = ", ".join(map(str, devices))
+    yield f"time of extraction: on {where}, from a short trial of each model; trained weights do not change it"
+    if any("not there yet" in cost.notes for cost in found):
         yield (
             f"not there yet: the number of images is the paper's, or that of the descriptors that ship; images are "
-            f"taken to be {ASSUMED_SIZE[0]} × {ASSUMED_SIZE[1]} pixels"
+            f"taken to be {timing.PHOTOGRAPH[0]} × {timing.PHOTOGRAPH[1]} pixels"
         )
-    readers = [trial.reader_memory for trial in trials if trial.reader_memory]
+    unknown = dict.fromkeys(note for cost in found for note in cost.notes if note.startswith("number of images"))
+    yield from unknown
+    readers = [cost.reader_memory for cost in found if cost.reader_memory]
     if readers:
         n = len(devices) * reading.default_workers(len(devices))
-        yield f"memory: of the model's process for a batch; reading takes {n} × {size(max(readers))} besides"
-    cache = manifest.cache
-    nearest = next(place for place in (cache, *cache.parents) if place.exists())
-    needed, free = sum(need.disk for need in needs), shutil.disk_usage(nearest).free
-    short = "" if needed <= free else "; too little: set ARTIFACT_CACHE to a folder on a larger disk"
-    yield f"disk: {size(needed)} needed, {size(free)} free in {nearest}{short}"
+        yield f"memory: of the model's process for a batch; reading takes {n} × {in_words(max(readers))} besides"
 
 
 def duration(seconds: float | None) -> str:
@@ -329,14 +217,3 @@ def duration(seconds: float | None) -> str:
         if seconds >= large:
             return f"{seconds // large:.0f} {names[0]} {seconds % large // small:.0f} {names[1]}"
     raise AssertionError
-
-
-def size(n_bytes: float) -> str:
-    """Write a number of bytes for people.
-
-    Examples
-    --------
-    >>> size(0), size(2_300_000), size(10.9e9)
-    ('0 MB', '2 MB', '10.9 GB')
-    """
-    return f"{n_bytes / 1e9:.1f} GB" if n_bytes >= 1e9 else f"{n_bytes / 1e6:.0f} MB"

@@ -30,7 +30,7 @@ def verify(manifest: Manifest, profile: str) -> tuple[list[str], int]:
     lines, damaged = _verify_files(manifest.cache)
     more, shipped_damaged = _verify_files(shipped.folder())
     weighed, changed = _verify_weights(manifest, profile)
-    compared, different = _compare(manifest, profile)
+    compared, different = _against_the_paper(manifest, profile)
     return [*lines, *more, *weighed, *compared], damaged + shipped_damaged + changed + different
 
 
@@ -61,7 +61,7 @@ def _verify_weights(manifest: Manifest, profile: str) -> tuple[list[str], int]:
     return [f"{checked} files of weights, {len(faults)} changed", *faults] if checked else [], len(faults)
 
 
-def _compare(manifest: Manifest, profile: str) -> tuple[list[str], int]:
+def _against_the_paper(manifest: Manifest, profile: str) -> tuple[list[str], int]:
     """Print the verdict on every number of the paper that the profile measures."""
     entry = manifest.profile(profile)
     comparable = [name for name in entry.datasets if manifest.dataset(name).reported_as]

@@ -14,13 +14,13 @@ import numpy as np
 from artifact import store
 from artifact.datasets import folder, shipped
 from artifact.datasets.positives import positives_of
-from artifact.datasets.rendered import is_rendered, rendered
+from artifact.datasets.rendered import render, rendered_folder
 from artifact.datasets.traversal import Dataset, DatasetError, Given, Traversal
 from artifact.manifest import Manifest
 from artifact.manifest.entries import DatasetEntry, ManifestError
 from artifact.manifest.layout import POSITIONS_FILE, positions_source
 
-__all__ = ["Dataset", "DatasetError", "Traversal", "load", "load_traversal"]
+__all__ = ["Dataset", "DatasetError", "Traversal", "image_folder", "listed", "load", "load_traversal"]
 
 
 def load(manifest: Manifest, name: str, traversals: Iterable[str] | None = None) -> Dataset:
@@ -59,14 +59,28 @@ def load(manifest: Manifest, name: str, traversals: Iterable[str] | None = None)
 
 
 def load_traversal(manifest: Manifest, dataset: str, name: str) -> Traversal:
-    """Load one traversal of a dataset; see :func:`load`."""
+    """Load one traversal of a dataset, rendering it if need be; see :func:`load`."""
     entry = manifest.dataset(dataset)
     if name not in entry.traversals:
         raise ManifestError(f"{dataset}: no traversal {name!r}; the traversals are {', '.join(entry.traversals)}")
     if entry.traversals[name].descriptors:
         return _load_described(manifest, dataset, entry, name)
-    load_images = _load_rendered if entry.kind == "city" else _load_folder
-    return load_images(manifest, dataset, entry, name)
+    condition = entry.traversals[name].condition
+    if entry.kind == "city":
+        render(entry.traversals[name].render or {}, manifest.cache, f"{dataset}/{name}")
+    images = image_folder(manifest, dataset, name)
+    if images.is_dir():
+        names, positions = listed(manifest, dataset, name)
+        digests = store.digest_of_files([images / image for image in names], manifest.cache)
+        digest = store.key(images=list(zip(names, digests, strict=True)))
+        return Traversal(dataset, name, condition, tuple(names), positions, digest, images)
+    shipped_as = entry.root or dataset
+    without_images = None if Path(shipped_as).is_absolute() else shipped.traversal(shipped_as, name)
+    if without_images is None:
+        raise DatasetError(_missing(dataset, entry, images, manifest))
+    names, digest = without_images
+    positions = np.arange(len(names), dtype=np.float64)[:, None]
+    return Traversal(dataset, name, condition, tuple(names), positions, digest)
 
 
 def _load_described(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
@@ -99,19 +113,21 @@ def _load_described(manifest: Manifest, dataset: str, entry: DatasetEntry, name:
     return Traversal(dataset, name, traversal.condition, tuple(names), positions, digest, None, *with_digests)
 
 
-def _load_folder(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
+def image_folder(manifest: Manifest, dataset: str, name: str) -> Path:
+    """Return the folder that holds, or would hold, the images of a traversal."""
+    entry = manifest.dataset(dataset)
     traversal = entry.traversals[name]
-    root = manifest.data_root / (entry.root or dataset)
-    images = root / (traversal.images or name)
-    if not images.is_dir():
-        found = _load_shipped(dataset, entry, name)
-        if found is None:
-            raise DatasetError(_missing(dataset, entry, images, manifest))
-        return found
-    listed = root / traversal.image_list if traversal.image_list else None
-    names = folder.list_images(images, listed)
-    source = traversal.positions or positions_source(images)
-    unit = entry.threshold.unit
+    if entry.kind == "city":
+        return rendered_folder(traversal.render or {}, manifest.cache, f"{dataset}/{name}")
+    return manifest.data_root / (entry.root or dataset) / (traversal.images or name)
+
+
+def listed(manifest: Manifest, dataset: str, name: str) -> tuple[list[str], np.ndarray]:
+    """Return the image names and positions of a traversal whose folder is there, reading no image."""
+    entry, images = manifest.dataset(dataset), image_folder(manifest, dataset, name)
+    traversal, root = entry.traversals[name], manifest.data_root / (entry.root or dataset)
+    names = folder.list_images(images, root / traversal.image_list if traversal.image_list else None)
+    source, unit = traversal.positions or positions_source(images), entry.threshold.unit
     if source == "names":
         positions, found = folder.positions_from_names(images, names), "metres"
     elif source == "csv":
@@ -124,45 +140,7 @@ def _load_folder(manifest: Manifest, dataset: str, entry: DatasetEntry, name: st
     if traversal.spacing is not None:
         kept = folder.keep_spacing(positions, traversal.spacing)
         names, positions = [names[index] for index in kept], positions[kept]
-    return _traversal(manifest, dataset, name, traversal.condition, images, names, positions)
-
-
-def _load_shipped(dataset: str, entry: DatasetEntry, name: str) -> Traversal | None:
-    """Return a traversal of which descriptors ship with the package, without its images."""
-    folder_name = entry.root or dataset
-    stored = None if Path(folder_name).is_absolute() else shipped.traversal(folder_name, name)
-    if stored is None:
-        return None
-    names, digest = stored
-    positions = np.arange(len(names), dtype=np.float64)[:, None]
-    return Traversal(dataset, name, entry.traversals[name].condition, tuple(names), positions, digest)
-
-
-def _load_rendered(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
-    traversal = entry.traversals[name]
-    images = rendered(traversal.render or {}, manifest.cache, f"{dataset}/{name}")
-    names = folder.list_images(images)
-    positions, found = folder.positions_from_csv(images / POSITIONS_FILE, names)
-    if (found == "metres") != (entry.threshold.unit == "metres"):
-        raise DatasetError(
-            f"{dataset}/{name}: the threshold is in {entry.threshold.unit} but the positions are in {found}"
-        )
-    return _traversal(manifest, dataset, name, traversal.condition, images, names, positions)
-
-
-def _traversal(
-    manifest: Manifest,
-    dataset: str,
-    name: str,
-    condition: str,
-    images: Path,
-    names: list[str],
-    positions: np.ndarray,
-) -> Traversal:
-    cache = manifest.cache
-    digests = store.digest_of_files([images / image for image in names], cache)
-    digest = store.key(images=list(zip(names, digests, strict=True)))
-    return Traversal(dataset, name, condition, tuple(names), positions, digest, images)
+    return names, positions
 
 
 def _missing(dataset: str, entry: DatasetEntry, images: Path, manifest: Manifest) -> str:
@@ -177,10 +155,9 @@ def _missing(dataset: str, entry: DatasetEntry, images: Path, manifest: Manifest
 
 
 def _check_pair(name: str, entry: DatasetEntry, query: Traversal, database: Traversal) -> None:
-    if query.positions.shape[1] != database.positions.shape[1]:
-        raise DatasetError(
-            f"{name}: query positions have {query.positions.shape[1]} columns, database positions {database.positions.shape[1]}"
-        )
+    widths = [traversal.positions.shape[1] for traversal in (query, database)]
+    if widths[0] != widths[1]:
+        raise DatasetError(f"{name}: query positions have {widths[0]} columns, database positions {widths[1]}")
     if entry.threshold.unit == "pairs":
         stems = [[Path(image).stem for image in traversal.image_names] for traversal in (query, database)]
         if stems[0] != stems[1]:
@@ -208,11 +185,8 @@ def describe_missing(manifest: Manifest, name: str) -> str | None:
     """Return why a dataset is not ready here, or ``None`` if it is. Renders nothing."""
     entry = manifest.dataset(name)
     try:
-        if entry.kind == "city":
-            cache = manifest.cache
-            for traversal, described in entry.traversals.items():
-                if not is_rendered(described.render or {}, cache, f"{name}/{traversal}"):
-                    return f"{name}: not rendered yet (make data)"
+        if entry.kind == "city" and not all(image_folder(manifest, name, part).is_dir() for part in entry.traversals):
+            return f"{name}: not rendered yet (make data)"
         load(manifest, name)
     except (DatasetError, ManifestError) as error:
         return str(error)

@@ -8,10 +8,8 @@ that key equals the key that the code at hand would use, so an outdated file is 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -30,17 +28,15 @@ def traversal(dataset: str, name: str) -> tuple[list[str], str] | None:
     return (record["image_names"], record["digest"]) if record else None
 
 
-def descriptors(key: str) -> Path | None:
-    """Return the shipped ``.npy`` file that was made under ``key``, or ``None`` if there is none."""
-    return next((path for path, sidecar in _sidecars() if sidecar["key"] == key), None)
+def path_of(key: str) -> Path | None:
+    """Return the shipped ``.npy`` file of descriptors or image statistics made under ``key``, or ``None`` if there is none."""
+    for path in sorted(folder().glob("*/[!.]*.npy")):  # a hidden file is one being written
+        if json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))["key"] == key:
+            return path
+    return None
 
 
 def appearance(key: str) -> np.ndarray | None:
     """Return the shipped image statistics that were made under ``key``, or ``None`` if there are none."""
-    path = descriptors(key)
+    path = path_of(key)
     return None if path is None else np.load(path, allow_pickle=False)
-
-
-def _sidecars() -> Iterator[tuple[Path, dict[str, Any]]]:
-    for path in sorted(folder().glob("*/[!.]*.npy")):  # a hidden file is one being written
-        yield path, json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))

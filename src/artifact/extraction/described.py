@@ -65,7 +65,7 @@ class Described:
 
 def describe(
     manifest: Manifest, dataset: str, method: str, traversals: Iterable[str] = (), *, device: Any = None
-) -> Described:  # fmt: skip
+) -> Described:
     """Load a dataset, with further traversals, and get the descriptors of each."""
     loaded = datasets.load(manifest, dataset, traversals)
     found = {

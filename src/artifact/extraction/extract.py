@@ -12,7 +12,7 @@ import platform
 import sys
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ from artifact import methods, store
 from artifact.datasets import shipped
 from artifact.datasets.traversal import DatasetError, Given, Traversal
 from artifact.extraction import local_features, partial
+from artifact.extraction.local_features import Job
 from artifact.extraction.reading import ExtractionError
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError, MethodEntry
@@ -104,15 +105,16 @@ def descriptors(
     key = descriptor_key(traversal, method, entry, precision)
     path = stored_path(manifest, method, key)
     if not traversal.has_images and not path.with_suffix(".json").exists():
-        found = shipped.descriptors(key)
+        found = shipped.path_of(key)
         if found is not None:
-            return _load(found, key, "shipped descriptors")
+            return _read(found, key, "shipped descriptors")
         traversal.image_paths()
     with store.lock(path):
         if not path.with_suffix(".json").exists():
-            files = _files(manifest, traversal, method, entry, key)
-            _extract(path, key, traversal, method, entry, device, workers, precision, files, progress=progress)
-    return _load(path, key, "images")
+            files = _files(manifest, traversal, method, key)
+            job = Job(path, key, traversal, method, entry, precision, workers, files)
+            _extract(job, device, progress=progress)
+    return _read(path, key, "images")
 
 
 def second_stage(
@@ -124,7 +126,7 @@ def second_stage(
     precision: str = "float32",
     workers: int | None = None,
     progress: bool = False,
-) -> local_features.Stored | np.ndarray:
+) -> local_features.SecondOutput | np.ndarray:
     """Return what a two-stage method stores besides descriptors: local features, or packed hash codes.
 
     They are made together with the descriptors. If only they are missing, the images are described once more.
@@ -139,27 +141,28 @@ def second_stage(
         return _rows_of(traversal, traversal.second_stage[method])
     entry = manifest.method(method)
     key = descriptor_key(traversal, method, entry, precision)
-    files = _files(manifest, traversal, method, entry, key)
+    files = _files(manifest, traversal, method, key)
     if files is None:
         raise ManifestError(f"{manifest.path}: methods.{method} has neither local_features nor code_bits")
-    options = {"device": device, "precision": precision, "workers": workers, "progress": progress}
     if files.missing():
         traversal.image_paths()
+        options = {"device": device, "precision": precision, "workers": workers, "progress": progress}
         descriptors(manifest, traversal, method, **options)
         with store.lock(stored_path(manifest, method, key)):
             if files.missing():
                 again = files.folder / "descriptors.npy"
-                _extract(again, key, traversal, method, entry, device, workers, precision, files, progress=progress)
+                job = Job(again, key, traversal, method, entry, precision, workers, files)
+                _extract(job, device, progress=progress)
                 again.with_suffix(".json").unlink()
                 again.unlink()
-    return local_features.load(files)
+    return local_features.opened(files)
 
 
-def second_stage_key(traversal: Traversal, method: str, entry: MethodEntry, precision: str = "float32") -> str:
+def second_stage_key(traversal: Traversal, method: str, entry: MethodEntry) -> str:
     """Return the content key of a traversal's local features or codes."""
     if method in traversal.second_stage:
         return traversal.second_stage[method].sha256
-    return _second_key(descriptor_key(traversal, method, entry, precision), entry)
+    return _second_stage_key(descriptor_key(traversal, method, entry), entry)
 
 
 def check_disk(manifest: Manifest, traversals: Iterable[Traversal], names: Iterable[str]) -> None:
@@ -170,37 +173,40 @@ def check_disk(manifest: Manifest, traversals: Iterable[Traversal], names: Itera
     StoreError
         If what is not stored yet does not fit.
     """
-    needs, traversals = [], list(traversals)
+    missing, traversals = {}, list(traversals)
     for method in names:
-        entry = manifest.method(method)
         for traversal in (t for t in traversals if method not in t.descriptors):
-            files = _files(manifest, traversal, method, entry, descriptor_key(traversal, method, entry))
+            files = _files(manifest, traversal, method, descriptor_key(traversal, method, manifest.method(method)))
             if files is not None:
-                needs.append(files.need(f"{method} · {traversal.dataset}/{traversal.name}"))
-    local_features.check_disk(needs, manifest.cache, _say)
+                missing[local_features.label_of(method, traversal)] = files.missing_bytes()
+    local_features.check_disk(missing, manifest.cache, _say)
 
 
 def _say(line: str) -> None:
     tqdm.write(line, file=sys.stderr)
 
 
-def _second_key(descriptors_key: str, entry: MethodEntry) -> str:
-    layout, revision = local_features.layout_of(entry), local_features.REVISION
-    return store.key(
-        stage="local features", revision=revision, descriptors=descriptors_key, layout=layout,
-        images_each=None if layout is None else layout.images_per_file,
-    )  # fmt: skip
-
-
-def _files(
-    manifest: Manifest, traversal: Traversal, method: str, entry: MethodEntry, descriptors_key: str
-) -> local_features.Files | None:
+def _second_stage_key(key: str, entry: MethodEntry) -> str:
     layout = local_features.layout_of(entry)
-    if layout is None:
-        return None
-    key = _second_key(descriptors_key, entry)
-    folder = manifest.cache / "local_features" / method / key[:24]
-    return local_features.Files(folder, key, len(traversal), layout, layout.images_per_file)
+    return store.key(
+        stage="local features",
+        revision=local_features.REVISION,
+        descriptors=key,
+        layout=layout,
+        images_each=None if layout is None else layout.images_per_file,
+    )
+
+
+def _files(manifest: Manifest, traversal: Traversal, method: str, key: str) -> local_features.Files | None:
+    """Where the second output goes that comes with the descriptors of a key; ``None`` for one-stage methods."""
+    entry = manifest.method(method)
+    layout, second_key = local_features.layout_of(entry), _second_stage_key(key, entry)
+    folder = manifest.cache / "local_features" / method / second_key[:24]
+    return (
+        None
+        if layout is None
+        else local_features.Files(folder, second_key, len(traversal), layout, layout.images_per_file)
+    )
 
 
 def is_ready(manifest: Manifest, traversal: Traversal, method: str) -> bool:
@@ -209,7 +215,7 @@ def is_ready(manifest: Manifest, traversal: Traversal, method: str) -> bool:
         return True
     key = descriptor_key(traversal, method, manifest.method(method))
     stored = stored_path(manifest, method, key).with_suffix(".json").exists()
-    return stored or (not traversal.has_images and shipped.descriptors(key) is not None)
+    return stored or (not traversal.has_images and shipped.path_of(key) is not None)
 
 
 def descriptor_key(traversal: Traversal, method: str, entry: MethodEntry, precision: str = "float32") -> str:
@@ -256,7 +262,7 @@ def _rows_of(traversal: Traversal, file: Given) -> np.ndarray:
     return values
 
 
-def _load(path: Path, key: str, source: str) -> Descriptors:
+def _read(path: Path, key: str, source: str) -> Descriptors:
     sidecar = store.read_json(path.with_suffix(".json"))
     try:
         values = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -274,45 +280,45 @@ def _load(path: Path, key: str, source: str) -> Descriptors:
 # -- extraction ---------------------------------------------------------------------------------------------
 
 
-def _extract(
-    path: Path, key: str, traversal: Traversal, method: str, entry: MethodEntry, device: Any, workers: int | None,
-    precision: str, files: local_features.Files | None, *, progress: bool,
-) -> None:  # fmt: skip
+def _extract(job: Job, device: Any, *, progress: bool) -> None:
     import torch
 
     from artifact.extraction import forward, shards
 
     begun = time.monotonic()
-    chosen = forward.devices(device)
-    shape = (len(traversal), entry.dimension)
-    journal_key = key
-    if files is not None:
-        label = f"{method} · {traversal.dataset}/{traversal.name}"
-        local_features.check_disk([files.need(label)], files.folder, _say)
-        journal_key = f"{key}+{local_features.start(files)}"
-    done = partial.start(path, journal_key, shape)
-    remaining = [rows for rows in shards.batches(len(traversal), entry.batch_size) if not done[rows].all()]
+    devices = forward.devices(device)
+    traversal, entry, n = job.traversal, job.entry, len(job.traversal)
+    if job.files is not None:
+        local_features.check_disk({job.label: job.files.missing_bytes()}, job.files.folder, _say)
+        job = replace(job, key=f"{job.key}+{local_features.start(job.files)}")
+    done = partial.start(job.path, job.key, (n, entry.dimension))
+    remaining = [rows for rows in shards.batches(n, entry.batch_size) if not done[rows].all()]
+    initial = n - sum(rows.stop - rows.start for rows in remaining)
+    hidden = None if progress else True
     with tqdm(
-        total=len(traversal), initial=len(traversal) - sum(rows.stop - rows.start for rows in remaining), unit="image",
-        desc=f"{method} · {traversal.dataset}/{traversal.name}", disable=None if progress else True, smoothing=0.05,
-        leave=False,
-    ) as bar:  # fmt: skip
-        job = shards.Job(path, journal_key, traversal, method, entry, precision, workers, files)
+        total=n, initial=initial, unit="image", desc=job.label, disable=hidden, smoothing=0.05, leave=False
+    ) as bar:
         try:
-            work = shards.run(job, remaining, chosen, bar.update)
+            work = shards.run(job, remaining, devices, bar.update)
         except BaseException:
-            partial.abandon(path)
+            partial.abandon(job.path)
             raise
-    if files is not None:
-        local_features.complete(files, {"method": method, "dataset": traversal.dataset, "traversal": traversal.name})
-    partial.complete(
-        path,
-        {
-            "key": key, "method": method, "dataset": traversal.dataset, "traversal": traversal.name,
-            "shape": list(shape), "images": traversal.digest, "revision": REVISION, "precision": precision,
-            "preprocessing": entry.preprocessing.model_dump(), "batch_size": entry.batch_size,
-            "images_at_once": work.at_once or entry.batch_size, "device": ", ".join(map(str, chosen)),
-            "torch": torch.__version__, "machine": platform.machine(),
-            "seconds": round(time.monotonic() - begun, 3), "forward_seconds": round(work.seconds, 3),
-        },
-    )  # fmt: skip
+    names = {"method": job.method, "dataset": traversal.dataset, "traversal": traversal.name}
+    if job.files is not None:
+        local_features.complete(job.files, names)
+    sidecar = names | {
+        "key": job.key.partition("+")[0],
+        "shape": [n, entry.dimension],
+        "images": traversal.digest,
+        "revision": REVISION,
+        "precision": job.precision,
+        "preprocessing": entry.preprocessing.model_dump(),
+        "batch_size": entry.batch_size,
+        "images_at_once": work.at_once or entry.batch_size,
+        "device": ", ".join(map(str, devices)),
+        "torch": torch.__version__,
+        "machine": platform.machine(),
+        "seconds": round(time.monotonic() - begun, 3),
+        "forward_seconds": round(work.seconds, 3),
+    }
+    partial.complete(job.path, sidecar)

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import math
 import os
-import shutil
 import uuid
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from artifact import store
+from artifact.datasets.traversal import Traversal
 from artifact.extraction import partial
+from artifact.extraction.disk import free_bytes, in_words
 from artifact.manifest import CACHE_VARIABLE
 from artifact.manifest.entries import ManifestError, MethodEntry
 
@@ -116,22 +117,13 @@ def _stored_form(values: np.ndarray, layout: Layout) -> np.ndarray:
 # -- disk ---------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Need:
-    """Disk that the second output of one traversal takes, in bytes: in total, and what is not stored yet."""
-
-    label: str
-    total: int
-    missing: int
-
-
-def check_disk(needs: Iterable[Need], folder: Path, say: Callable[[str], object] | None = None) -> None:
+def check_disk(missing: Mapping[str, int], folder: Path, say: Callable[[str], object]) -> None:
     """Compare the disk that is needed with what is free, before anything is computed.
 
     Parameters
     ----------
-    needs
-        One for each traversal and method.
+    missing
+        Bytes that are not stored yet, by the name of method and traversal.
     folder
         The cache folder.
     say
@@ -142,35 +134,18 @@ def check_disk(needs: Iterable[Need], folder: Path, say: Callable[[str], object]
     StoreError
         If the missing part does not fit.
     """
-    needs = [need for need in needs if need.missing]
-    missing = sum(need.missing for need in needs)
+    missing = {label: needed for label, needed in missing.items() if needed}
     if not missing:
         return
-    nearest = next(f for f in (folder, *folder.parents) if f.exists())
-    free = shutil.disk_usage(nearest).free
-    what = f"local features and codes of {', '.join(need.label for need in needs)}"
-    if missing > free:
+    needed, free = sum(missing.values()), free_bytes(folder)
+    what = f"local features and codes of {', '.join(missing)}"
+    if needed > free:
         raise store.StoreError(
-            f"{folder}: {what} need {in_words(missing)} of disk, {in_words(free)} are free. Free some, set "
+            f"{folder}: {what} need {in_words(needed)} of disk, {in_words(free)} are free. Free some, set "
             f"{CACHE_VARIABLE} to a folder on a larger disk, or store local features as float16 (half the "
             f"size): 'dtype: float16' below 'local_features' in the method's manifest entry"
         )
-    if say is not None:
-        say(f"{what} need {in_words(missing)} of disk; {in_words(free)} are free in {folder}")
-
-
-def in_words(n_bytes: int) -> str:
-    """Write a number of bytes for people.
-
-    Examples
-    --------
-    >>> in_words(105_123_000_000), in_words(1_905_152), in_words(64)
-    ('105.1 GB', '1.9 MB', '64 bytes')
-    """
-    for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if n_bytes >= size:
-            return f"{n_bytes / size:.1f} {unit}"
-    return f"{n_bytes} bytes"
+    say(f"{what} need {in_words(needed)} of disk; {in_words(free)} are free in {folder}")
 
 
 # -- files --------------------------------------------------------------------------------------------------
@@ -226,11 +201,48 @@ class Files:
         sidecar = self.path(number).with_suffix(".json")
         return sidecar.exists() and self.path(number).exists() and store.read_json(sidecar).get("key") == self.key
 
-    def need(self, label: str) -> Need:
-        """Return the disk that is needed, under the name of method and traversal."""
+    def missing_bytes(self) -> int:
+        """Return the disk that the files take which are neither complete nor reserved."""
         unreserved = [number for number in self.missing() if not self.partial(number).exists()]
-        size = self.layout.image_bytes
-        return Need(label, self.n_images * size, sum(self.shape(number)[0] for number in unreserved) * size)
+        return sum(self.shape(number)[0] for number in unreserved) * self.layout.image_bytes
+
+
+def label_of(method: str, traversal: Traversal) -> str:
+    """Return the name of an extraction, for messages."""
+    return f"{method} · {traversal.dataset}/{traversal.name}"
+
+
+@dataclass(frozen=True)
+class Job:
+    """What all shards of one extraction share.
+
+    Attributes
+    ----------
+    path, key
+        The result's file and content key.
+    traversal, method, entry
+        What to describe, and by which method.
+    precision
+        ``"float32"``, ``"bfloat16"`` or ``"float16"``.
+    workers
+        Reading processes of each shard; ``None`` shares the cores among the shards.
+    files
+        For a two-stage method, where its local features or codes go.
+    """
+
+    path: Path
+    key: str
+    traversal: Traversal
+    method: str
+    entry: MethodEntry
+    precision: str = "float32"
+    workers: int | None = None
+    files: Files | None = None
+
+    @property
+    def label(self) -> str:
+        """Method and traversal, for messages."""
+        return label_of(self.method, self.traversal)
 
 
 def start(files: Files) -> str:
@@ -259,13 +271,13 @@ def start(files: Files) -> str:
     return name
 
 
-class Writer(partial.Writer):
+class TwoOutputWriter(partial.RowWriter):
     """Writes descriptors and second output of the same rows; the journal speaks of rows that are on disk in both.
 
     Parameters
     ----------
     path, key, number
-        As for :class:`artifact.extraction.partial.Writer`.
+        As for :class:`artifact.extraction.partial.RowWriter`.
     files
         Made ready by :func:`start`.
     """
@@ -331,7 +343,7 @@ def _reserve(files: Files, number: int) -> None:
 
 
 @dataclass(frozen=True)
-class Stored:
+class SecondOutput:
     """A traversal's local features or codes, read from disk by indexing with an array of image indices.
 
     Attributes
@@ -368,7 +380,7 @@ class Stored:
         return out
 
 
-def load(files: Files) -> Stored:
+def opened(files: Files) -> SecondOutput:
     """Open complete files.
 
     Raises
@@ -390,4 +402,4 @@ def load(files: Files) -> Stored:
         if (values.shape, values.dtype) != (files.shape(number), files.layout.dtype):
             raise store.StoreError(f"{path}: holds {values.dtype} {values.shape}, unlike its manifest entry; {advice}")
         maps.append(values)
-    return Stored(files, tuple(maps))
+    return SecondOutput(files, tuple(maps))

@@ -7,7 +7,6 @@ disk. A killed run goes on from the union of the journals. The result is complet
 from __future__ import annotations
 
 import os
-import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from artifact import store
+from artifact.extraction.disk import free_bytes, in_words
+from artifact.manifest import CACHE_VARIABLE
 
 JOURNAL_SECONDS = 2.0
 
@@ -68,7 +69,7 @@ def start(path: Path, key: str, shape: tuple[int, int]) -> np.ndarray:
     return done
 
 
-class Writer:
+class RowWriter:
     """Writes rows into the partial file of a result that :func:`start` made ready.
 
     Parameters
@@ -139,10 +140,10 @@ def _allocate(partial: Path, shape: tuple[int, int]) -> None:
     try:
         reserve(partial, shape, np.float32)
     except OSError as error:
-        size, free = 4 * shape[0] * shape[1], shutil.disk_usage(partial.parent).free
+        needed, free = in_words(4 * shape[0] * shape[1]), in_words(free_bytes(partial.parent))
         raise store.StoreError(
-            f"{partial.parent}: no room for {shape[0]} descriptors of {shape[1]} dimensions: {size / 1e9:.2f} GB are "
-            f"needed, {free / 1e9:.2f} GB are free ({error}); make room, or set ARTIFACT_CACHE to a folder elsewhere"
+            f"{partial.parent}: no room for {shape[0]} descriptors of {shape[1]} dimensions: {needed} are needed, {free} "
+            f"are free ({error}); make room, or set {CACHE_VARIABLE} to a folder elsewhere"
         ) from None
 
 
@@ -173,7 +174,7 @@ def reserve(path: Path, shape: tuple[int, ...], dtype: Any) -> None:
         if hasattr(os, "posix_fallocate"):
             with path.open("rb+") as stream:
                 os.posix_fallocate(stream.fileno(), 0, size)
-        elif shutil.disk_usage(path.parent).free < size:
+        elif free_bytes(path.parent) < size:
             raise OSError("too little free space")
     except OSError:
         path.unlink(missing_ok=True)

@@ -16,7 +16,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection, wait
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,43 +25,11 @@ from artifact import methods
 from artifact.datasets.traversal import Traversal
 from artifact.extraction import local_features, partial, reading
 from artifact.extraction.forward import Forward
+from artifact.extraction.local_features import Job
 from artifact.extraction.reading import ExtractionError
 from artifact.manifest.entries import MethodEntry
 
 _LISTED = 20
-
-
-@dataclass(frozen=True)
-class Job:
-    """What all shards of one extraction share.
-
-    Attributes
-    ----------
-    path, key
-        The result's file and content key.
-    traversal, method, entry
-        What to describe, and by which method.
-    precision
-        ``"float32"``, ``"bfloat16"`` or ``"float16"``.
-    workers
-        Reading processes of each shard; ``None`` shares the cores among the shards.
-    files
-        For a two-stage method, where its local features or codes go.
-    """
-
-    path: Path
-    key: str
-    traversal: Traversal
-    method: str
-    entry: MethodEntry
-    precision: str = "float32"
-    workers: int | None = None
-    files: local_features.Files | None = None
-
-    @property
-    def label(self) -> str:
-        """Method and traversal, for messages."""
-        return f"{self.entry.title} · {self.traversal.dataset}/{self.traversal.name}"
 
 
 @dataclass
@@ -134,9 +101,15 @@ def unreadable_images(label: str, messages: Sequence[str], n: int) -> Extraction
 
 
 def describe(
-    traversal: Traversal, entry: MethodEntry, forward: Forward, rows_of_batches: Sequence[slice], *,
-    workers: int | None = None, work: Work | None = None, second: Callable[[slice, np.ndarray], Any] | None = None,
-) -> Iterator[tuple[slice, np.ndarray]]:  # fmt: skip
+    traversal: Traversal,
+    entry: MethodEntry,
+    forward: Forward,
+    rows_of_batches: Sequence[slice],
+    *,
+    workers: int | None = None,
+    work: Work | None = None,
+    second: Callable[[slice, np.ndarray], Any] | None = None,
+) -> Iterator[tuple[slice, np.ndarray]]:
     """Yield the rows and descriptors of each batch.
 
     Parameters
@@ -216,10 +189,10 @@ def _run_shard(
 ) -> Work:
     model = methods.model_of(job.method, job.entry).to(device)
     if job.files is None:
-        output, second = partial.Writer(job.path, job.key, number), None
+        output, second = partial.RowWriter(job.path, job.key, number), None
     else:
         model = local_features.both_outputs(model, job.files.layout, job.label)
-        output = local_features.Writer(job.path, job.key, number, job.files)
+        output = local_features.TwoOutputWriter(job.path, job.key, number, job.files)
         second = output.write_second
     forward, work = Forward(model, job.entry, device, job.precision), Work()
     described = describe(job.traversal, job.entry, forward, part, workers=job.workers, work=work, second=second)
@@ -286,9 +259,7 @@ def _received(receiver: Connection, process: Any) -> tuple[str, Any]:
         return "error", ExtractionError(f"{process.name}: its process {ended}{advice}. Run again to go on")
 
 
-def _shard_process(
-    sender: Connection, job: Job, part: Sequence[slice], device: str, number: int, threads: int
-) -> None:  # fmt: skip
+def _shard_process(sender: Connection, job: Job, part: Sequence[slice], device: str, number: int, threads: int) -> None:
     reading.end_with_parent()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the journal is written
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it too, and ends this process

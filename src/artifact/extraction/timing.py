@@ -1,18 +1,20 @@
-"""How long a model takes for an image on this machine, and how much memory: tried in a process of its own.
+"""What things take on this machine: seconds and peak memory, tried in a process of its own.
 
-The process ends after the trial, so that its peak memory is that of one model, and a model that is too large for the
-machine takes nothing else down with it. Trained weights are not needed: they change neither time nor memory.
+The process ends after the trial, so that its peak memory is that of the trial alone, and what is too large for the
+machine takes nothing else down with it. Planning, Table II and the bench all measure here.
 """
 
 from __future__ import annotations
 
 import os
+import platform
 import resource
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,19 +24,23 @@ from PIL import Image
 
 from artifact import methods, store
 from artifact.extraction import local_features, reading
+from artifact.extraction.disk import in_words
 from artifact.manifest import Manifest
 from artifact.manifest.entries import MethodEntry
 
 if TYPE_CHECKING:
     import torch
 
+    from artifact.extraction.forward import Forward
+
 LIMIT_SECONDS = 300.0
 PHOTOGRAPH = (480, 640)
-"""Height and width in pixels of the photograph that recorded times are for."""
+"""Height and width in pixels of the photograph that stored times are for, and of images that are not there."""
 
 _SLOW_SECONDS = 10.0  # an image that takes longer is timed once, without a warm-up
 _BATCH_SECONDS = 20.0  # a whole batch is timed if it is expected to take less
 _OVERHEAD = 600e6  # bytes that Python, PyTorch and a small model's activations take
+_LIBRARIES = ("numpy", "scipy", "torch", "numba", "scikit-learn", "umap-learn", "pillow")
 
 
 @dataclass(frozen=True)
@@ -62,70 +68,27 @@ class Timing:
     note: str = ""
 
 
-def time_method(
-    method: str, entry: MethodEntry, image_size: tuple[int, int], device: torch.device, precision: str = "float32",
-    limit: float = LIMIT_SECONDS,
-) -> Timing:  # fmt: skip
-    """Time a method on a made-up photograph, after a warm-up.
-
-    Parameters
-    ----------
-    method, entry
-        The method's name and its manifest entry.
-    image_size
-        Height and width of the photograph in pixels, before the method's own preprocessing.
-    device, precision
-        As for extraction.
-    limit
-        Seconds after which the trial is given up.
-    """
-    import torch
-
-    needed, free = _weights_bytes(method, entry), available_memory()
-    if needed is not None and device.type == "cpu" and 1.1 * needed + _OVERHEAD > free:
-        least = 1.1 * needed + _OVERHEAD
-        note = f"not timed: it needs at least {least / 1e9:.1f} GB of memory, {free / 1e9:.1f} GB are free"
-        return Timing(None, None, least, None, note)
-    context = reading.process_context()
-    receiver, sender = context.Pipe(duplex=False)
-    arguments = (sender, method, entry, image_size, str(device), precision, torch.get_num_threads())
-    process = context.Process(target=_trial, args=arguments)
-    with reading.main_unseen():
-        process.start()
-    sender.close()
-    try:
-        if not receiver.poll(limit):
-            return Timing(None, None, None, None, f"not timed: no image within {limit:.0f} s")
-        return receiver.recv()
-    except EOFError:
-        process.join()
-        return Timing(None, None, None, None, f"not timed: the process ended ({process.exitcode}), memory may be short")
-    finally:
-        process.kill()
-        process.join()
+# -- what a trial measures with -----------------------------------------------------------------------------
 
 
-def record(manifest: Manifest, names: Sequence[str], device: torch.device) -> Iterator[str]:
-    """Time methods on a photograph of 480 × 640 pixels and keep what was measured for Table II; yields a line for each."""
-    path = record_path(manifest)
-    kept = recorded(manifest)
-    for name in names:
-        found = time_method(name, manifest.method(name), PHOTOGRAPH, device)
-        kept[name] = {"seconds": found.forward, "note": found.note, "device": str(device), "cores": os.cpu_count()}
-        store.write_json(path, kept)
-        took = "–" if found.forward is None else f"{found.forward:.3g} s an image"
-        yield f"{manifest.method(name).title}: {took} ({found.note})"
+def best_of(function: Callable[[], object], repeats: int = 3) -> float:
+    """Return the shortest of several wall times in seconds."""
+    times = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - begun)
+    return min(times)
 
 
-def recorded(manifest: Manifest) -> dict[str, Any]:
-    """Return what :func:`record` kept on this machine, by method."""
-    path = record_path(manifest)
-    return store.read_json(path) if path.exists() else {}
+def peak_memory(device: torch.device | None = None) -> float:
+    """Return the peak bytes of this process, or of a CUDA device."""
+    if device is not None and device.type == "cuda":
+        import torch
 
-
-def record_path(manifest: Manifest) -> Path:
-    """Return the file that holds the recorded times."""
-    return manifest.cache / "timings.json"
+        return float(torch.cuda.max_memory_reserved(device))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return float(peak if sys.platform == "darwin" else peak * 1024)
 
 
 def available_memory() -> float:
@@ -141,74 +104,35 @@ def available_memory() -> float:
     return float(free)
 
 
-def _weights_bytes(method: str, entry: MethodEntry) -> int | None:
-    """Bytes of a library model's weights, counted without allocating them; ``None`` for other models."""
+def reading_seconds(paths: Sequence[Path], entry: MethodEntry) -> float:
+    """Return the seconds that one core takes to decode and prepare an image."""
     import torch
 
-    if entry.builder is not None or entry.kind != "paper":
-        return None
-    with torch.device("meta"):
-        model = methods.build(method)
-    return sum(tensor.numel() * tensor.element_size() for tensor in model.state_dict().values())
-
-
-# -- in the trial's process ---------------------------------------------------------------------------------
-
-
-def _trial(
-    sender: Connection, method: str, entry: MethodEntry, size: tuple[int, int], device: str, precision: str,
-    threads: int,
-) -> None:  # fmt: skip
-    import torch
-
-    reading.end_with_parent()
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "photograph.jpg"
-            photograph(*size).save(path, quality=90)
-            torch.set_num_threads(1)
-            images, seconds = _reading(path, entry)
-            torch.set_num_threads(threads)
-        sender.send(_forward(method, entry, images, torch.device(device), precision, seconds))
-    except Exception as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        sender.send(Timing(None, None, None, None, f"not timed: {reason}"))
+        return best_of(lambda: reading.prepare_batch(paths, entry.preprocessing), 5) / len(paths)
+    finally:
+        torch.set_num_threads(threads)
 
 
-def _reading(path: Path, entry: MethodEntry) -> tuple[np.ndarray, float]:
-    images, _ = reading.prepare_batch([path], entry.preprocessing)
-    return images, min(_timed(lambda: reading.prepare_batch([path], entry.preprocessing)) for _ in range(5))
+def model_seconds(model: Forward, images: reading.Prepared, repeats: int = 1) -> float:
+    """Return the shortest time of several that a model takes for a batch, until its descriptors are at hand."""
+
+    def describe() -> None:
+        model(images)[0].cpu()
+
+    return best_of(describe, repeats)
 
 
-def _forward(
-    method: str, entry: MethodEntry, images: np.ndarray, device: torch.device, precision: str, read: float
-) -> Timing:
+def untrained(method: str, entry: MethodEntry, device: torch.device, precision: str = "float32") -> Forward:
+    """Return a method's model, ready to describe batches: trained weights change neither time nor memory."""
     from artifact.extraction.forward import Forward
 
-    reader, n = _peak(), entry.batch_size
-    model = methods.build(method) if entry.builder is None else methods.model_of(method, entry)
+    model = (methods.build(method) if entry.builder is None else methods.model_of(method, entry)).to(device)
     layout = local_features.layout_of(entry)
-    outputs = model.to(device) if layout is None else local_features.both_outputs(model.to(device), layout, method)
-    forward = Forward(outputs, entry, device, precision)
-    loaded = _peak(device)
-
-    def seconds_of(batch: np.ndarray) -> float:
-        begun = time.perf_counter()
-        forward(batch)[0].cpu()
-        return time.perf_counter() - begun
-
-    seconds, note = seconds_of(images), "one image, no warm-up"
-    if seconds < _SLOW_SECONDS:
-        seconds, note = seconds_of(images), "one image"
-    one = _peak(device)
-    if n == 1 or seconds * n > _BATCH_SECONDS:
-        return Timing(seconds, read, loaded + n * (one - loaded), reader, note)
-    batch = np.concatenate([images] * n)
-    if device.type == "cuda":
-        seconds_of(batch)
-    seconds = seconds_of(batch) / n
-    note = f"a batch of {n}" if forward.at_once is None else f"{forward.at_once} images at once"
-    return Timing(seconds, read, _peak(device), reader, note)
+    outputs = model if layout is None else local_features.both_outputs(model, layout, method)
+    return Forward(outputs, entry, device, precision)
 
 
 def photograph(height: int, width: int, seed: int = 0) -> Image.Image:
@@ -228,17 +152,197 @@ def photograph(height: int, width: int, seed: int = 0) -> Image.Image:
     return Image.fromarray(pixels.clip(0, 255).astype(np.uint8))
 
 
-def _timed(function: Callable[[], object]) -> float:
-    begun = time.perf_counter()
-    function()
-    return time.perf_counter() - begun
+# -- trials -------------------------------------------------------------------------------------------------
 
 
-def _peak(device: torch.device | None = None) -> float:
-    """Peak bytes: of this process, or of a CUDA device."""
-    if device is not None and device.type == "cuda":
-        import torch
+def in_own_process(function: Callable[..., Any], *arguments: Any, limit: float = LIMIT_SECONDS) -> Any:
+    """Return what a function gives that runs in a new process, with as many threads as here.
 
-        return float(torch.cuda.max_memory_reserved(device))
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return float(peak if sys.platform == "darwin" else peak * 1024)
+    Raises
+    ------
+    TimeoutError
+        If it takes longer than the limit.
+    RuntimeError
+        If it fails, with the first line of the reason, or if its process is ended.
+    """
+    import torch
+
+    context = reading.process_context()
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_run, args=(sender, torch.get_num_threads(), function, arguments))
+    with reading.main_unseen():
+        process.start()
+    sender.close()
+    try:
+        if not receiver.poll(limit):
+            raise TimeoutError(f"nothing within {limit:.0f} s")
+        reason, result = receiver.recv()
+    except EOFError:
+        process.join()
+        raise RuntimeError(f"the process ended ({process.exitcode}), memory may be short") from None
+    finally:
+        process.kill()
+        process.join()
+    if reason:
+        raise RuntimeError(reason)
+    return result
+
+
+def _run(sender: Connection, threads: int, function: Callable[..., Any], arguments: Sequence[Any]) -> None:
+    import torch
+
+    reading.end_with_parent()
+    torch.set_num_threads(threads)
+    try:
+        sender.send(("", function(*arguments)))
+    except Exception as error:
+        sender.send((str(error).partition("\n")[0] or type(error).__name__, None))
+
+
+def time_method(
+    method: str,
+    entry: MethodEntry,
+    image_size: tuple[int, int],
+    device: torch.device,
+    precision: str = "float32",
+    limit: float = LIMIT_SECONDS,
+) -> Timing:
+    """Time a method on a made-up photograph, after a warm-up.
+
+    Parameters
+    ----------
+    method, entry
+        The method's name and its manifest entry.
+    image_size
+        Height and width of the photograph in pixels, before the method's own preprocessing.
+    device, precision
+        As for extraction.
+    limit
+        Seconds after which the trial is given up.
+    """
+    weights, free = _weights_bytes(method, entry), available_memory()
+    least = None if weights is None else 1.1 * weights + _OVERHEAD
+    if least is not None and device.type == "cpu" and least > free:
+        note = f"not timed: it needs at least {in_words(least)} of memory, {in_words(free)} are free"
+        return Timing(None, None, least, None, note)
+    try:
+        return in_own_process(_trial, method, entry, image_size, device, precision, limit=limit)
+    except TimeoutError:
+        reason = f"no image within {limit:.0f} s"
+    except RuntimeError as error:
+        reason = str(error)
+    return Timing(None, None, None, None, f"not timed: {reason}")
+
+
+def _weights_bytes(method: str, entry: MethodEntry) -> int | None:
+    """Bytes of a library model's weights, counted without allocating them; ``None`` for other models."""
+    import torch
+
+    if entry.builder is not None or entry.kind != "paper":
+        return None
+    with torch.device("meta"):
+        model = methods.build(method)
+    return sum(tensor.numel() * tensor.element_size() for tensor in model.state_dict().values())
+
+
+def _trial(
+    method: str, entry: MethodEntry, image_size: tuple[int, int], device: torch.device, precision: str
+) -> Timing:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "photograph.jpg"
+        photograph(*image_size).save(path, quality=90)
+        images, _ = reading.prepare_batch([path], entry.preprocessing)
+        read = reading_seconds([path], entry)
+    reader, n = peak_memory(), entry.batch_size
+    model = untrained(method, entry, device, precision)
+    loaded = peak_memory(device)
+    seconds, note = model_seconds(model, images), "one image, no warm-up"
+    if seconds < _SLOW_SECONDS:
+        seconds, note = model_seconds(model, images), "one image"
+    one = peak_memory(device)
+    if n == 1 or seconds * n > _BATCH_SECONDS:
+        return Timing(seconds, read, loaded + n * (one - loaded), reader, note)
+    batch = np.concatenate([images] * n)
+    seconds = model_seconds(model, batch, 2 if device.type == "cuda" else 1) / n
+    note = f"a batch of {n}" if model.at_once is None else f"{model.at_once} images at once"
+    return Timing(seconds, read, peak_memory(device), reader, note)
+
+
+# -- what is kept -------------------------------------------------------------------------------------------
+
+
+class Trials:
+    """Trials on this machine, each made once; in a file they outlast the process.
+
+    Parameters
+    ----------
+    path
+        The file; ``None`` keeps them in memory.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        self._path, self._machine = path, machine()
+        self._kept: dict[str, Any] = store.read_json(path) if path and path.exists() else {}
+        self._failed: dict[str, Any] = {}
+
+    def __call__(self, measure: Callable[[], Any], failed: Callable[[Any], bool], **inputs: Any) -> Any:
+        """Return what was measured for these inputs on this machine with these libraries, or measure it.
+
+        A failed trial is not kept in the file: the next process tries again.
+        """
+        key = store.key(machine=self._machine, **inputs)
+        for kept in (self._kept, self._failed):
+            if key in kept:
+                return kept[key]
+        measured = measure()
+        if failed(measured):
+            self._failed[key] = measured
+        else:
+            self._kept[key] = measured
+            if self._path is not None:
+                store.write_json(self._path, self._kept)
+        return measured
+
+    def of_method(
+        self, method: str, entry: MethodEntry, image_size: tuple[int, int], device: torch.device, precision: str
+    ) -> Timing:
+        """Time a method once for each size of its input; see :func:`time_method`."""
+        from artifact.methods.preprocessing import target_size
+
+        measured = self(
+            lambda: asdict(time_method(method, entry, image_size, device, precision)),
+            lambda found: found["forward"] is None,
+            model=methods.fingerprint(method, entry) | {"weights": None},
+            batch_size=entry.batch_size,
+            input=target_size(*image_size, entry.preprocessing),
+            device=str(device),
+            precision=precision,
+        )
+        return Timing(**measured)
+
+
+def machine() -> dict[str, Any]:
+    """Return what a measurement holds for: the machine, its cores and the versions of the libraries."""
+    versions = {name: version(name) for name in _LIBRARIES}
+    return {"node": platform.node(), "processor": platform.machine(), "cores": os.cpu_count(), "versions": versions}
+
+
+def store_times(manifest: Manifest, names: Sequence[str], device: torch.device) -> Iterator[str]:
+    """Time methods on a photograph of 480 × 640 pixels and keep that for Table II; yields a line for each."""
+    times = stored_times(manifest)
+    for name in names:
+        found = time_method(name, manifest.method(name), PHOTOGRAPH, device)
+        times[name] = {"seconds": found.forward, "note": found.note, "device": str(device), "cores": os.cpu_count()}
+        store.write_json(_times_path(manifest), times)
+        took = "–" if found.forward is None else f"{found.forward:.3g} s an image"
+        yield f"{manifest.method(name).title}: {took} ({found.note})"
+
+
+def stored_times(manifest: Manifest) -> dict[str, Any]:
+    """Return what :func:`store_times` measured on this machine, by method."""
+    path = _times_path(manifest)
+    return store.read_json(path) if path.exists() else {}
+
+
+def _times_path(manifest: Manifest) -> Path:
+    return manifest.cache / "timings.json"

@@ -254,7 +254,6 @@ class MethodEntry(_Strict):
     builder: str | None = Field(default=None, pattern=r"^[\w.]+:\w+$")
     weights: WeightsEntry | None = None
     licence: str = "not stated"
-    reference: str | None = None
 
     @model_validator(mode="after")
     def _second_stage_is_one(self) -> MethodEntry:

@@ -34,7 +34,7 @@ def methods_of_the_paper(manifest: Manifest) -> pd.DataFrame:
     """
     import torch
 
-    rows, times = [], timing.recorded(manifest)
+    rows, times = [], timing.stored_times(manifest)
     for name, entry in manifest.methods.items():
         if entry.kind != "paper" or entry.builder is not None:
             continue

@@ -97,7 +97,7 @@ class INLP(TransformerMixin, BaseEstimator):
 def _erased_directions(
     coordinates: np.ndarray, condition: np.ndarray, iterations: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fit classifiers and remove their directions, in turn.
+    """Fit classifiers and remove their directions, in turn, from the coordinates themselves.
 
     Returns
     -------
@@ -125,7 +125,7 @@ def _erased_directions(
             if length > 1e-9 * np.linalg.norm(weights):
                 direction /= length
                 basis = np.column_stack([basis, direction])
-                coordinates = coordinates - np.outer(coordinates @ direction, direction)
+                _project_out(coordinates, direction)
         ends.append(basis.shape[1])
     if unconverged:
         warnings.warn(
@@ -136,6 +136,14 @@ def _erased_directions(
     return basis, np.array(accuracies), np.array(ends, int)
 
 
+def _project_out(coordinates: np.ndarray, direction: np.ndarray) -> None:
+    """Take a direction out of rows in place, some rows at a time: a second array of their size may not fit."""
+    step = max(1, 2**22 // coordinates.shape[1])
+    for start in range(0, len(coordinates), step):
+        rows = coordinates[start : start + step]
+        rows -= np.outer(rows @ direction, direction)
+
+
 def _coordinates(X: np.ndarray, device: Any) -> tuple[np.ndarray, Any]:
     """Return coordinates of the rows in an orthonormal basis of their span, and the way back to descriptors."""
     n, d = X.shape
@@ -143,7 +151,9 @@ def _coordinates(X: np.ndarray, device: Any) -> tuple[np.ndarray, Any]:
         return X.astype(np.float64), lambda basis: basis
     values, vectors = spectrum(gram_matrix(X, np.zeros(d), device))
     roots = np.sqrt(values)
-    return np.ascontiguousarray(vectors * roots), lambda basis: weighted_sum(X, np.zeros(d), (vectors / roots) @ basis)
+    return np.multiply(vectors, roots, order="C"), lambda basis: weighted_sum(
+        X, np.zeros(d), vectors @ (basis / roots[:, None])
+    )
 
 
 # -- checks and linear algebra --------------------------------------------------------------------------------

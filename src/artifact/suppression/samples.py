@@ -66,6 +66,7 @@ def weighted_sum(X: np.ndarray, mean: np.ndarray, weights: np.ndarray) -> np.nda
 
 def spectrum(matrix: np.ndarray, tolerance: float = 1e-12) -> tuple[np.ndarray, np.ndarray]:
     """Return the eigenvalues above a share of the largest, and their eigenvectors."""
-    values, vectors = linalg.eigh(matrix, overwrite_a=True, check_finite=False)
-    kept = values > tolerance * values[-1]
-    return values[kept], vectors[:, kept]
+    # LAPACK works in columns: it copies a symmetric matrix in rows, and takes its transpose as it is.
+    values, vectors = linalg.eigh(matrix.T, overwrite_a=True, check_finite=False)
+    first = np.searchsorted(values, tolerance * values[-1], side="right")
+    return values[first:], vectors[:, first:]  # a view: a copy of n × n eigenvectors may not fit

@@ -1,0 +1,273 @@
+"""What a whole run takes for each method and dataset: measured rates, scaled by the known complexity of each step.
+
+The counts of fits and passes are those of the pages of the book: Table III and Figs. 2, 5 to 7 (ranking), Figs. 3, 8 to
+10 and Tables IV and V (suppression, of single-stage methods alone). Pages beyond the paper take little beside them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from artifact.commands.probes import INLP_ITERATIONS
+from artifact.extraction import local_features
+from artifact.extraction.costs import ExtractionCost, Part
+from artifact.manifest import Manifest
+from artifact.manifest.entries import MethodEntry
+
+Rates = Mapping[str, float | None]
+
+FRACTION = 0.1
+"""Share of the queries that all studies but Fig. 10 fit on."""
+
+FRACTIONS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)
+"""Shares of Fig. 10, which evaluates on the outer half."""
+
+STEPS = ("extraction", "ranking", "INLP", "LEACE", "suppressed", "probe", "UMAP")
+"""Steps of a run; ``suppressed`` is the ranking of suppressed descriptors, with the passes of STD."""
+
+_PROCESS = 0.5e9  # bytes of Python and the libraries
+_TILES = 2**28  # bytes of a pass's similarity tiles
+_KEPT = 600  # bytes of a query's counts on disk, and in each further view or pool
+_UMAP_EPOCHS, _UMAP_FEW_EPOCHS, _UMAP_MANY = 500, 200, 10_000
+_CANDIDATES_OF_BOTH = 2  # database and augmented database give a query at most twice the candidates
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one step takes for one method and dataset.
+
+    Attributes
+    ----------
+    name
+        One of :data:`STEPS`.
+    seconds
+        ``None`` if it is unknown.
+    memory
+        Peak bytes of the process, without descriptors that are mapped from disk.
+    disk
+        Bytes that it leaves on disk.
+    """
+
+    name: str
+    seconds: float | None
+    memory: float = 0.0
+    disk: float = 0.0
+
+
+@dataclass(frozen=True)
+class PairCost:
+    """All steps of one method on one dataset, in the order of :data:`STEPS`; steps that it has not are left out."""
+
+    method: str
+    dataset: str
+    steps: tuple[Step, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def memory(self) -> float:
+        """Peak bytes over all steps."""
+        return max(step.memory for step in self.steps)
+
+    @property
+    def disk(self) -> float:
+        """Bytes that all steps leave on disk."""
+        return sum(step.disk for step in self.steps)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Sizes of one method on one dataset.
+
+    Attributes
+    ----------
+    queries, database, dimension
+        Numbers of images, and the width of their descriptors.
+    pools
+        Images of each further distractor pool (Fig. 7).
+    mixed
+        Whether the maps mix a database (Figs. 2 and 9).
+    further_pairs
+        Query–database pairs that no transform is fitted on (Table V).
+    embedded
+        Whether Fig. 3 shows this pair.
+    """
+
+    queries: int
+    database: int
+    dimension: int
+    pools: int = 0
+    mixed: bool = False
+    further_pairs: int = 0
+    embedded: bool = False
+
+    def at(self, share: float) -> Pair:
+        """Return the pair of a region with a share of the images."""
+        return Pair(math.ceil(share * self.queries), math.ceil(share * self.database), self.dimension)
+
+    @property
+    def images(self) -> int:
+        """Queries and database images."""
+        return self.queries + self.database
+
+    @property
+    def bytes(self) -> float:
+        """Bytes of the descriptors in float32."""
+        return 4.0 * self.images * self.dimension
+
+
+def sizes(manifest: Manifest, method: str, dataset: str, parts: Sequence[Part], *, embedded: bool = False) -> Pair:
+    """Return the sizes of a pair; of a traversal whose size is unknown, that of the query traversal."""
+    entry, images = manifest.dataset(dataset), {part.name: part.images for part in parts}
+    queries = images.get(entry.query) or 0
+    return Pair(
+        queries,
+        images.get(entry.database) or 0,
+        manifest.method(method).dimension,
+        pools=len(entry.distractor_traversals),
+        mixed=entry.same_condition_traversal is not None,
+        further_pairs=len(entry.irrelevant_pairs),
+        embedded=embedded,
+    )
+
+
+def pair_cost(pair: Pair, entry: MethodEntry, extraction: ExtractionCost, rates: Rates) -> PairCost:
+    """Return what all steps of a pair take; two-stage methods have no suppression."""
+    steps = [Step("extraction", extraction.seconds, extraction.memory or 0.0, extraction.disk)]
+    measured = {name: math.nan if value is None else value for name, value in rates.items()}
+    if entry.rerank is not None:
+        steps.append(_two_stage(pair, entry, measured))
+    else:
+        steps += [_ranking(pair, measured), *_suppression(pair, measured)]
+    known = (
+        Step(s.name, None if s.seconds is None or math.isnan(s.seconds) else s.seconds, s.memory, s.disk) for s in steps
+    )
+    return PairCost(extraction.method, extraction.dataset, tuple(known), extraction.notes)
+
+
+def pass_seconds(pair: Pair, rates: Mapping[str, float], views: int = 0, columns: int = 0) -> float:
+    """Return the seconds of one ranking pass; distractors are the queries, half of whose pairs symmetry leaves.
+
+    Parameters
+    ----------
+    pair
+        What is ranked.
+    rates
+        As from :func:`artifact.commands.probes.rates`.
+    views, columns
+        Number of low-rank views, and of the directions that they project on together.
+    """
+    pairs = pair.queries * pair.database + pair.queries**2 / 2
+    projected = pair.images * columns * pair.dimension * rates["product"]
+    return pairs * (pair.dimension * rates["product"] + rates["pair"] + views * rates["view"]) + projected
+
+
+def _ranking(pair: Pair, rates: Mapping[str, float]) -> Step:
+    one = pass_seconds(pair, rates)
+    # Fig. 7 ranks against each pool, and symmetry leaves none of their pairs out; Fig. 2 ranks two databases.
+    pooled = (1 + pair.pools) * pair.queries**2 * (pair.dimension * rates["product"] + rates["pair"])
+    seconds = one + (one + pooled if pair.pools else 0) + (2 * one if pair.mixed else 0)
+    passes = 1 + (1 + pair.pools if pair.pools else 0) + (2 if pair.mixed else 0)
+    return Step("ranking", seconds, _PROCESS + _TILES, passes * _KEPT * pair.queries)
+
+
+def _two_stage(pair: Pair, entry: MethodEntry, rates: Mapping[str, float]) -> Step:
+    layout, candidates = local_features.layout_of(entry), entry.rerank or 0
+    if layout is None or layout.bits:
+        first, score, draws = (
+            pass_seconds(Pair(pair.queries, pair.database, 0), rates),
+            pair.dimension * rates["cosine"],
+            10,
+        )
+    else:
+        first, score, draws = pass_seconds(pair, rates), rates[f"match {layout.shape}"], 3
+    scored = pair.queries * min(_CANDIDATES_OF_BOTH * candidates, pair.images)
+    if pair.pools:  # Fig. 7, and the sweeps of Fig. 6: each random order has its own candidates
+        candidates_of_order = candidates * (1 + math.log(max(1, pair.queries / candidates)))
+        scored += pair.queries * candidates * (1 + pair.pools) + (draws + 1) * pair.queries * candidates_of_order
+    memory = _PROCESS + _TILES + (pair.bytes if layout is None or layout.bits else 2**30)
+    return Step("ranking", first + scored * score, memory, _KEPT * pair.queries)
+
+
+def _suppression(pair: Pair, rates: Mapping[str, float]) -> Iterator[Step]:
+    """Yield the fits of INLP and LEACE, the passes on what they leave, the guardedness probes and UMAP."""
+    region, half = pair.at(1 - FRACTION), pair.at(0.5)
+    # Fig. 8 fits once, Table IV once alone and once after the other datasets.
+    fits = dict.fromkeys(FRACTIONS, 1) | {FRACTION: 4}
+    inlp_fits = fits | {FRACTION: 4 + pair.mixed + pair.embedded}
+    fitted = [pair.at(fraction) for fraction in FRACTIONS]
+    transforms = 2 * 2 * 8.0 * pair.dimension  # both sides of two kept maps of Table IV, float64
+    yield Step(
+        "INLP",
+        sum(inlp_fits[f] * _inlp_seconds(at, rates) for f, at in zip(FRACTIONS, fitted, strict=True)),
+        max(_inlp_memory(at) for at in fitted),
+        transforms * INLP_ITERATIONS,
+    )
+    yield Step(
+        "LEACE",
+        sum(fits[f] * _leace_seconds(at, rates) for f, at in zip(FRACTIONS, fitted, strict=True)),
+        max(_leace_memory(at) for at in fitted),
+        transforms,
+    )
+    both = INLP_ITERATIONS + 1
+    standardised = pass_seconds(region, rates) + len(FRACTIONS) * pass_seconds(half, rates)
+    rescaled = (region.images + len(FRACTIONS) * half.images) * pair.dimension * rates["scale"]
+    # Fig. 8; Table IV with the single and the composed map of either method; Table V; Fig. 9; Fig. 10.
+    viewed = (1 + 2 + pair.further_pairs + pair.mixed) * pass_seconds(region, rates, 2, 2 * both)
+    grown = pass_seconds(half, rates, 2 * len(FRACTIONS), len(FRACTIONS) * both)
+    yield Step(
+        "suppressed",
+        viewed + grown + standardised + rescaled,
+        _PROCESS + _TILES + 3 * region.bytes,
+        (1 + 4 + 2 * len(FRACTIONS)) * _KEPT * pair.queries,
+    )
+    rows = min(region.queries, region.database)  # of both conditions in one half, to train on; as many to test on
+    rate = rates["probe_dual" if rows < pair.dimension else "probe_primal"]
+    # float64 to train and test, and the solver's copy with an index for each value; region before and after
+    yield Step("probe", rows * pair.dimension * rate, _PROCESS + 32.0 * rows * pair.dimension + 5 * region.bytes)
+    if pair.embedded:
+        epochs = _UMAP_EPOCHS if region.images <= _UMAP_MANY else _UMAP_FEW_EPOCHS
+        seconds = 2 * region.images * epochs * rates["umap"]
+        yield Step("UMAP", seconds, _PROCESS + 3 * region.bytes, 16.0 * region.images)
+
+
+def _inlp_seconds(at: Pair, rates: Mapping[str, float]) -> float:
+    n, d = at.images, at.dimension
+    factored = n**2 * d * rates["gram"] + n**3 * rates["eigen"] if n < d else 0.0
+    return factored + INLP_ITERATIONS * n * min(n, d) * rates["inlp"]
+
+
+def _leace_seconds(at: Pair, rates: Mapping[str, float]) -> float:
+    n, d = at.images, at.dimension
+    return n * d * min(n, d) * rates["gram"] + min(n, d) ** 3 * rates["eigen"]
+
+
+def _inlp_memory(at: Pair) -> float:
+    """Eigenvectors and coordinates of the rows, with the temporary of one projection; or the rows in float64."""
+    n, d = at.images, at.dimension
+    return _PROCESS + at.bytes + 8.0 * n * (4 * n if n < d else 4 * d)
+
+
+def _leace_memory(at: Pair) -> float:
+    """Gram matrix, its eigenvectors and the kept ones; or the centred rows with their scatter matrix."""
+    n, d = at.images, at.dimension
+    return _PROCESS + at.bytes + 8.0 * (3 * n * n if n < d else 2 * n * d + 3 * d * d)
+
+
+def that_do_not_fit(
+    costs: Sequence[PairCost], memory: float, disk: float
+) -> Iterator[tuple[PairCost, Step, str, float, float]]:
+    """Yield pairs and steps for which memory or disk does not suffice, with ``"memory"`` or ``"disk"``, the bytes needed and those there.
+
+    Disk is filled in the order of the costs; what does not fit is passed over.
+    """
+    left = disk
+    for cost in costs:
+        for step in cost.steps:
+            if step.memory > memory:
+                yield cost, step, "memory", step.memory, memory
+            if step.disk > left:
+                yield cost, step, "disk", step.disk, left
+            else:
+                left -= step.disk

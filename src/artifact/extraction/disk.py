@@ -1,0 +1,25 @@
+"""Room on disk, and numbers of bytes in words."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+
+def free_bytes(folder: Path) -> int:
+    """Return the free bytes of the disk that holds, or would hold, a folder."""
+    return shutil.disk_usage(next(place for place in (folder, *folder.parents) if place.exists())).free
+
+
+def in_words(n_bytes: float) -> str:
+    """Write a number of bytes for people.
+
+    Examples
+    --------
+    >>> in_words(105_123_000_000), in_words(1_905_152), in_words(64)
+    ('105.1 GB', '1.9 MB', '64 bytes')
+    """
+    for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if n_bytes >= size:
+            return f"{n_bytes / size:.1f} {unit}"
+    return f"{n_bytes:.0f} bytes"
