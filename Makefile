@@ -76,4 +76,5 @@ $(VENV)/.ready: environment.txt pyproject.toml
 		uv pip install --quiet --python $(VENV)/bin/python --no-deps --require-hashes -r environment.txt; \
 	else $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r environment.txt; fi
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@$(VENV)/bin/python -m artifact_city || echo "the renderer could not be compiled now: it is compiled at first use"
 	@touch $@

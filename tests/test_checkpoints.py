@@ -118,11 +118,49 @@ def test_the_bookkeeping_of_trainers_is_passed_over_and_never_imported(tmp_path,
         (state_of() | {"head.weight": torch.zeros(3, 16).to_sparse()}, "entries such as head.weight"),
         (state_of() | {"head.weight": torch.zeros(3, 16, device="meta")}, "entries such as head.weight"),
     ],
-)  # fmt: skip
+)
 def test_content_that_is_no_weights_is_refused(tmp_path, content, message):
     (tmp_path / "file").write_bytes(packed(content, tmp_path))
     with pytest.raises(CheckpointError, match=message):
         checkpoints.read(tmp_path / "file")
+
+
+@pytest.mark.filterwarnings("ignore:The PyTorch API of nested tensors")
+@pytest.mark.parametrize("layout", [torch.strided, torch.jagged])
+def test_a_nested_tensor_is_refused(tmp_path, layout):
+    content = torch.nested.nested_tensor([torch.zeros(2, 3), torch.zeros(1, 3)], layout=layout)
+    refused_everywhere(tmp_path, content, "holds no weights, but entries such as head.weight|cannot be read")
+
+
+def test_a_tensor_that_claims_more_than_its_file_holds_is_refused(tmp_path):
+    refused_everywhere(
+        tmp_path, torch.zeros(1).expand(10**12, 3), r"head.weight claims 12,000,000,000,000 bytes in a file"
+    )
+    save_file({"a": torch.zeros(4)}, tmp_path / "safe")  # what fills its file exactly is not refused
+    assert checkpoints.read(tmp_path / "safe")["a"].shape == (4,)
+
+
+def refused_everywhere(folder, harmful, message):
+    """Refused among other tensors and alone, by the reader and in a method, in one line and unrecorded."""
+    for content, keys in ((state_of() | {"head.weight": harmful}, {}), (harmful, {"tensor": "head.weight"})):
+        entry = entry_of(folder, keys)
+        path = put(entry, packed(content, folder))
+        with pytest.raises(CheckpointError, match=message) as caught:
+            checkpoints.read(path, **keys)
+        assert "\n" not in str(caught.value)
+        with pytest.raises(WeightsError, match=message):
+            methods.model_of("tiny", entry)
+        assert names_in(path.parent) == {path.name}
+
+
+def test_a_directory_in_place_of_the_file_is_refused(tmp_path, server):
+    with pytest.raises(CheckpointError, match=r"^cannot be read \(IsADirectoryError.*$"):
+        checkpoints.read(tmp_path)
+    entry = entry_of(tmp_path, {"urls": [server.serve("a", b"")]})
+    (tmp_path / "weights" / "tiny.pth").mkdir(parents=True)
+    for use in (methods.model_of, methods.fetch, methods.fingerprint):
+        with pytest.raises(WeightsError, match=r"tiny.pth: cannot be read \(Is a directory\); a file .* is needed"):
+            use("tiny", entry)
 
 
 @pytest.fixture(scope="module")

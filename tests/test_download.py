@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import resource
 import types
 
@@ -38,8 +39,12 @@ def test_an_interrupted_download_goes_on_where_it_was(tmp_path, server, monkeypa
     download.fetch(url, partial, label="a", progress=False)
     assert partial.read_bytes() == content
     assert [asked.get("Range") for asked in server.requests("a")] == [
-        None, "bytes=10000-", "bytes=10000-", "bytes=30000-", "bytes=30000-",
-    ]  # fmt: skip
+        None,
+        "bytes=10000-",
+        "bytes=10000-",
+        "bytes=30000-",
+        "bytes=30000-",
+    ]
     condition = server.requests("a")[1].get("If-Range")
     assert condition == (None if "W/" in str(habits) else habits.get("modified", '"one"'))
     download.fetch(url, partial, label="a", progress=False)  # whole already: killed before it was examined, say
@@ -72,7 +77,7 @@ def test_however_a_server_breaks_off_the_bytes_are_right_or_there_is_an_error(
         pytest.param({"heeds_if_range": False, "longer": -60_000}, id="now shorter than what has arrived"),
         pytest.param({"ranges": False}, id="no ranges any more"),
     ],
-)  # fmt: skip
+)
 def test_bytes_of_two_versions_are_never_mixed(tmp_path, server, monkeypatch, content, habits):
     partial, url = tmp_path / ".partial", server.serve("a", content, ends_after=[10_000, 0])
     with monkeypatch.context() as patch:
@@ -98,6 +103,14 @@ def test_a_file_of_unknown_length_and_a_redirection(tmp_path, server, content):
     url = server.serve("a", b"", moved_to="/b")
     download.fetch(url, tmp_path / "partial", label="a", progress=False)
     assert (tmp_path / "partial").read_bytes() == content
+
+
+def test_a_redirection_to_a_local_file_is_refused(tmp_path, server):
+    (tmp_path / "secret").write_bytes(b"secret")
+    url = server.serve("a", b"", moved_to=(tmp_path / "secret").as_uri())
+    with pytest.raises(DownloadError, match="the server answered 302"):
+        download.fetch(url, tmp_path / "partial", label="a", progress=False)
+    assert not (tmp_path / "partial").exists()
 
 
 @pytest.mark.parametrize(("statuses", "asked"), [([503, 429, 500], 4), ([404], 1), ([403], 1), ([503] * 9, 5)])
@@ -148,3 +161,57 @@ def test_a_disk_that_fills_up_is_named_and_the_download_goes_on_later(tmp_path, 
     download.fetch(url, tmp_path / "partial", label="a", progress=False)
     assert (tmp_path / "partial").read_bytes() == content
     assert server.requests("a")[-1]["Range"] == "bytes=30000-"
+
+
+# --- one file from several addresses ---
+
+
+def test_a_file_comes_from_the_first_mirror_that_has_the_right_one(tmp_path, server, content, capfd):
+    target, known = tmp_path / "folder" / "file", hashlib.sha256(content).hexdigest()
+    gone = f"{server.serve('there', b'')}/not"
+    other, right = server.serve("other", b"other"), server.serve("right", content)
+    unasked = server.serve("unasked", content)
+    assert download.retrieve([gone, other, right, unasked], target, sha256=known, progress=False) == right
+    assert target.read_bytes() == content
+    assert names_in(target.parent) == {"file"}
+    assert not server.requests("unasked")
+    download.retrieve([right], target, sha256=known, progress=False)
+    assert len(server.requests("right")) == 1
+    assert "".join(capfd.readouterr()) == ""
+
+
+@pytest.mark.parametrize(
+    ("known", "message"),
+    [
+        ({"sha256": "0" * 64}, f"does not match the known hash: expected {'0' * 64}"),
+        ({"size": 3}, "bytes 65536, the manifest says 3"),
+        ({"accept": lambda _: (_ for _ in ()).throw(DownloadError("not this one"))}, "not this one"),
+    ],
+)
+def test_a_file_that_is_not_the_right_one_is_not_kept(tmp_path, server, content, known, message):
+    urls = [server.serve("a", content), server.serve("b", content)]
+    with pytest.raises(DownloadError) as caught:
+        download.retrieve(urls, tmp_path / "file", progress=False, **known)
+    lines = str(caught.value).splitlines()
+    assert [line.strip() for line in lines[::2]] == urls
+    assert all(message in line for line in lines[1::2])
+    assert names_in(tmp_path) == set()
+
+
+def test_a_file_of_other_content_that_is_there_is_never_replaced(tmp_path, server, content):
+    (tmp_path / "file").write_bytes(b"mine")
+    with pytest.raises(DownloadError, match=r"file is there, but its SHA-256 is not 0000.*; move it away"):
+        download.retrieve([server.serve("a", content)], tmp_path / "file", sha256="0" * 64, progress=False)
+    assert (tmp_path / "file").read_bytes() == b"mine"
+
+
+def test_a_transfer_that_broke_off_is_kept_for_the_next_call(tmp_path, server, monkeypatch, content):
+    monkeypatch.setattr(download, "ATTEMPTS", 1)
+    url = server.serve("a", content, ends_after=[10_000, 0])
+    with pytest.raises(DownloadError, match="10,000 bytes are kept"):
+        download.retrieve([url], tmp_path / "file", progress=False)
+    assert not (tmp_path / "file").exists()
+    download.retrieve([url], tmp_path / "file", progress=False)
+    assert (tmp_path / "file").read_bytes() == content
+    assert server.requests("a")[-1]["Range"] == "bytes=10000-"
+    assert names_in(tmp_path) == {"file"}

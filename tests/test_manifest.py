@@ -139,3 +139,11 @@ def test_the_cache_folder_can_be_moved(project, monkeypatch):
     assert manifest.load(project / "data_manifest.yaml").cache == project.resolve() / ".cache"
     monkeypatch.setenv("ARTIFACT_CACHE", str(project / "fast"))
     assert manifest.load(project / "data_manifest.yaml").cache == (project / "fast").resolve()
+
+
+@pytest.mark.parametrize("value", ["!!python/object/apply:os.system [ls]", "!secret x", "{<<: {a: 1}}"])
+def test_tags_and_merges_are_refused_by_line(project, value):
+    path = project / "data_manifest.yaml"
+    path.write_text(path.read_text() + f"extra: {value}\n")
+    with pytest.raises(ManifestError, match=r"data_manifest.yaml:\d+: "):
+        manifest.load(path)

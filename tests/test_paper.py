@@ -165,12 +165,3 @@ def test_claims_of_the_text_follow_from_the_numbers(table):
     start = reported.table("fig10").query("fitting_fraction == 0")
     assert (start.change_pp == 0).all()
     assert len(start) == 6
-
-
-def test_verdicts():
-    assert reported.verdict(50.0, 50.4, n_queries=100) == "equal"
-    assert reported.verdict(50.0, 50.6, n_queries=100) == "close"
-    assert reported.verdict(50.0, 51.2, n_queries=100) == "different"
-    assert reported.verdict(float("nan"), 50.0) == "not comparable"
-    with pytest.raises(KeyError, match="nothing under 'fig99'; allowed: tab01"):
-        reported.table("fig99")

@@ -21,7 +21,9 @@ def places(draw):
 def test_regions_share_no_place(case, fraction, where):
     queries, database, threshold = case
     region = split(queries, database, threshold, fraction, where=where)
-    assert len(region.fit_queries) == int(np.ceil(round(fraction * len(queries), 9)))
+    evaluated = np.flatnonzero((np.linalg.norm(queries[:, None] - database[None], axis=2) <= threshold).any(axis=1))
+    assert len(region.fit_queries) == int(np.ceil(round(fraction * len(evaluated), 9)))
+    assert set(region.fit_queries) <= set(evaluated)
     together = np.concatenate([region.fit_queries, region.evaluation_queries])
     assert sorted(together) == list(range(len(queries)))
     together = np.concatenate([region.fit_database, region.evaluation_database])

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest, kendalltau
+from scipy.stats import kendalltau
 
 from artifact import evaluate
-from artifact.metrics.statistics import block_length, intervals, paired_test, rank_agreement, resamples
+from artifact.metrics.statistics import block_length, intervals, rank_agreement, resamples
 
 
 def runs(n, length, seed=0):
@@ -61,15 +61,6 @@ def test_block_length_is_twice_the_threshold_along_the_path():
     assert block_length(np.arange(200.0)[:, None], 0.0) == 1
     assert block_length(np.arange(8.0)[:, None], 25.0) == 2, "at most a quarter of the queries"
     assert block_length(np.zeros((5, 1)), 1.0) == 1
-
-
-def test_the_paired_test_is_mcnemars_exact_test():
-    rng = np.random.default_rng(0)
-    a, b = rng.random(300) < 0.6, rng.random(300) < 0.5
-    only, other = int((a & ~b).sum()), int((b & ~a).sum())
-    assert paired_test(a, b) == pytest.approx(binomtest(only, only + other).pvalue)
-    assert paired_test(b, a) == paired_test(a, b)
-    assert paired_test(a, a) == 1
 
 
 def test_rank_agreement_is_kendalls_tau_b():

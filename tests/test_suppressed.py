@@ -1,5 +1,7 @@
 """Studies of suppression on descriptors whose cause is known: a condition along one direction."""
 
+import dataclasses
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -124,7 +126,7 @@ def test_the_composed_transform_is_fitted_in_turn_and_erases_both_conditions(two
     summary = studies.composition.summary(table, ["suppression"]).set_index("suppression")
     part = table.query("suppression == 'INLP'")["difference_R"]
     assert summary.loc["INLP", "mean_R"] == pytest.approx(part.mean())
-    assert summary.loc["INLP", "std_R"] == pytest.approx(np.std(part))
+    assert summary.loc["INLP", "std_R"] == pytest.approx(np.std(part, ddof=1))
     assert summary.loc["INLP", "within_R"] == (part.abs() <= 1).sum()
 
 
@@ -275,3 +277,42 @@ def test_sides_are_halves_and_turns_keep_them():
     for turn in within_session.turned(labels):
         assert turn.sum() == labels.sum()
     np.testing.assert_array_equal(within_session.turned(labels)[0], labels)
+
+
+def test_places_of_every_fitting_region_stay_out_of_irrelevant_pairs(two, monkeypatch):
+    manifest, _ = two
+    seen = []
+
+    def remember(queries, database, query_positions, database_positions, threshold, **options):
+        seen.append((query_positions, database_positions))
+        return evaluate(queries, database, query_positions, database_positions, threshold, **options)
+
+    monkeypatch.setattr("artifact.studies.composition.evaluate", remember)
+    names = ["made", "other"]
+    places = studies.composition.fitted_places(manifest, names, "made", synthetic.METHOD, 0.1)
+    assert len(places) == 1  # the other dataset has coordinates of its own
+    studies.composition.irrelevant_conditions(manifest, names, [synthetic.METHOD], iterations=2)
+    fitted_there, threshold = places[0]
+    for positions in seen[0]:
+        away = np.linalg.norm(positions[:, None] - fitted_there[None], axis=2)
+        assert (away > threshold).all()
+
+
+def test_two_stage_methods_take_no_part_in_suppression(two):
+    manifest, _ = two
+    two_stage = manifest.methods[synthetic.METHOD].model_copy(update={"rerank": 100})
+    both = dataclasses.replace(manifest, methods={**manifest.methods, "reranked": two_stage})
+    methods = [synthetic.METHOD, "reranked"]
+    table = studies.suppression.suppression_table(both, ["made"], methods, iterations=2).table
+    assert set(table["method"]) == {synthetic.METHOD}
+    table = studies.composition.single_against_multi(both, ["made", "other"], methods, iterations=2).table
+    assert set(table["method"]) == {synthetic.METHOD}
+
+
+def test_keys_of_fits_hold_the_library_that_decides_them(made, monkeypatch):
+    _, one = made
+    first = fitted.key_of("x", [one], [0.1])
+    assert first == fitted.key_of("x", [one], [0.1])
+    assert first != fitted.key_of("x", [one], [0.2])
+    monkeypatch.setattr(fitted, "version", lambda name: "another")
+    assert first != fitted.key_of("x", [one], [0.1])

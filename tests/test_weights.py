@@ -31,8 +31,18 @@ from artifact.methods.mixvpr import mixvpr
 from artifact.methods.weights import WeightsError, download
 
 PAPER_METHODS = (
-    "anyloc", "boq", "cosplace", "cricavpr", "eigenplaces", "megaloc", "mixvpr", "salad", "salad_cm", "selavpr", "selavprpp",
-)  # fmt: skip
+    "anyloc",
+    "boq",
+    "cosplace",
+    "cricavpr",
+    "eigenplaces",
+    "megaloc",
+    "mixvpr",
+    "salad",
+    "salad_cm",
+    "selavpr",
+    "selavprpp",
+)
 
 
 @pytest.fixture
@@ -73,7 +83,7 @@ def test_a_killed_download_goes_on(tmp_path, server):
     url = server.serve("a.pth", content, slow=0.01)
     target, partial = tmp_path / "weights" / "tiny.pth", None
     code = (
-        "import sys; from artifact import download; from pathlib import Path\n"
+        "import sys; from artifact.methods.weights import download; from pathlib import Path\n"
         "download.fetch(sys.argv[1], Path(sys.argv[2]), label='a', progress=False)"
     )
     partial = target.with_name(f".tiny.pth.{hashlib.sha256(url.encode()).hexdigest()[:8]}.partial")
@@ -152,7 +162,7 @@ def test_a_file_of_another_content_than_the_manifest_says_gives_way_to_a_mirror(
 )
 def test_git_blobs_are_those_of_git(tmp_path, text, digest):
     (tmp_path / "file").write_bytes(text)
-    assert weights.weights_lock._git_blob(tmp_path / "file") == digest
+    assert weights.lock._git_blob(tmp_path / "file") == digest
 
 
 @pytest.mark.parametrize("kind", ["text/html; charset=utf-8", "application/octet-stream"])
@@ -204,12 +214,24 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path, server, monkeypatch)
     [
         (lambda state: state.pop("head.bias"), ["1 missing: head.bias"]),
         (lambda state: state.update(extra=torch.zeros(1)), ["1 unexpected: extra"]),
-        (lambda state: state.update({"head.weight": torch.zeros(3, 15)}), ["1 of another shape: head.weight (3, 15) for (3, 16)"]),
-        (lambda state: state.update({"head.bias": torch.zeros(3, dtype=torch.int64)}), ["1 of another type: head.bias torch.int64 for torch.float32"]),
-        (lambda state: state.update({f"x{i}": torch.zeros(1) for i in range(25)}), ["25 unexpected: x0, ", "x19, and 5 more"]),
-        (lambda state: (state.clear(), state.update(a=torch.zeros(1))), ["7 missing: head.weight, head.bias", "1 unexpected: a"]),
+        (
+            lambda state: state.update({"head.weight": torch.zeros(3, 15)}),
+            ["1 of another shape: head.weight (3, 15) for (3, 16)"],
+        ),
+        (
+            lambda state: state.update({"head.bias": torch.zeros(3, dtype=torch.int64)}),
+            ["1 of another type: head.bias torch.int64 for torch.float32"],
+        ),
+        (
+            lambda state: state.update({f"x{i}": torch.zeros(1) for i in range(25)}),
+            ["25 unexpected: x0, ", "x19, and 5 more"],
+        ),
+        (
+            lambda state: (state.clear(), state.update(a=torch.zeros(1))),
+            ["7 missing: head.weight, head.bias", "1 unexpected: a"],
+        ),
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("by_hand", [True, False])
 def test_missing_extra_and_misshaped_keys_are_refused_with_the_list(tmp_path, server, change, messages, by_hand):
     state = state_of()
@@ -404,7 +426,7 @@ def test_locked_weights_are_not_read_to_find_descriptors(tmp_path, monkeypatch):
     entry = entry_of(tmp_path)
     put(entry, packed(state_of(), tmp_path))
     methods.model_of("tiny", entry)
-    weights.weights_lock._sha256.cache_clear()
+    weights.lock._sha256.cache_clear()
     digest_of_file = store.digest_of_file
 
     def only_sources(path):
@@ -421,9 +443,16 @@ def project_with(tmp_path, server, *states):
     for number, state in enumerate(states):
         url = server.serve(f"{number}.pth", packed(state, tmp_path))
         content["methods"][f"tiny{number}"] = THUMBNAIL | {
-            "title": f"Tiny {number}", "kind": "paper", "dimension": 3, "builder": "released:tiny",
-            "weights": {"files": [{"file": f"tiny{number}.pth", "urls": [url], "megabytes": 0.1}], "licence": f"GPL-{number}.0", "terms": "Ask first."},
-        }  # fmt: skip
+            "title": f"Tiny {number}",
+            "kind": "paper",
+            "dimension": 3,
+            "builder": "released:tiny",
+            "weights": {
+                "files": [{"file": f"tiny{number}.pth", "urls": [url], "megabytes": 0.1}],
+                "licence": f"GPL-{number}.0",
+                "terms": "Ask first.",
+            },
+        }
     content["profiles"]["demo"]["methods"] = ["thumbnail", *(f"tiny{number}" for number in range(len(states)))]
     for name, brightness in (("day", 0.0), ("night", -35.0)):
         write_images(tmp_path / "data" / "street" / name, 5, seed=1, brightness=brightness)
@@ -573,11 +602,14 @@ def test_the_shipped_manifest_names_the_weights_of_every_method_of_the_paper():
         ({"files": [{"file": "a", "urls": ["file:///etc/passwd"]}]}, ["files.0.urls.0", "'file:///etc/passwd'"]),
         ({"files": [{"file": "a", "sha256": "12ab"}]}, ["files.0.sha256", "'12ab'"]),
         ({"files": [{"file": "a", "md5": "12ab"}]}, ["files.0.md5: unknown key", "'sha256'"]),
-        ({"files": [{"file": "a", "container": "model"}]}, ["files.0.container", "'flat', 'state_dict' or 'model_state_dict'"]),
+        (
+            {"files": [{"file": "a", "container": "model"}]},
+            ["files.0.container", "'flat', 'state_dict' or 'model_state_dict'"],
+        ),
         ({"files": [{"file": "a"}, {"file": "b"}]}, ["a file without the key 'tensor' is named twice"]),
         ({"files": [{"file": "a"}, {"file": "a", "tensor": "c"}]}, ["file 'a' is named twice"]),
     ],
-)  # fmt: skip
+)
 def test_faults_in_the_weights_of_a_manifest_are_named(tmp_path, change, messages):
     content = tiny_manifest()
     named = {"files": [{"file": "a"}], "licence": "MIT"} | change

@@ -6,6 +6,7 @@ load without it. Live code: its scripts are in every page, can be there twice (w
 with the contents of a page: the theme's script fails on pages that have none.
 """
 
+import html
 import re
 import shutil
 from importlib.metadata import files
@@ -42,7 +43,16 @@ def finish(app, exception):
             page.write_text(slim, encoding="utf-8")
 
 
+def notice(app, pagename, templatename, context, doctree):
+    """Put the notice of a run whose numbers are no results above every page."""
+    path = Path(app.srcdir) / "executed" / "notice.txt"
+    if path.exists() and "body" in context:
+        text = html.escape(path.read_text(encoding="utf-8"))
+        context["body"] = f'<p class="notice" role="note">{text}</p>{context["body"]}'
+
+
 def setup(app):
     """Register with Sphinx."""
+    app.connect("html-page-context", notice)
     app.connect("build-finished", finish)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

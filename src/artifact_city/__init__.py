@@ -21,11 +21,12 @@ the ones before it:
 The same traversal gives the same bytes, in any order and with any number of workers. Processors of another kind may
 round differently: single values of pixels can then differ by one.
 
-The inner loops are compiled on first use (``kernel``, ``warm_up``), and the machine code is kept on disk.
+The inner loops are compiled on first use (``kernel``), or by ``python -m artifact_city`` beforehand, and the machine code
+is kept on disk.
 """
 
 from artifact_city.conditions import CONDITIONS
-from artifact_city.traversal import CityTraversal, positions, render_frame, visible_buildings
+from artifact_city.traversal import CityTraversal, compile_all, positions, render_frame
 from artifact_city.view import CAMERAS
 from artifact_city.writer import render
 
@@ -36,8 +37,8 @@ __all__ = [
     "CITY_REVISION",
     "CONDITIONS",
     "CityTraversal",
+    "compile_all",
     "positions",
     "render",
     "render_frame",
-    "visible_buildings",
 ]

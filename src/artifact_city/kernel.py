@@ -3,13 +3,13 @@
 import contextlib
 import hashlib
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 from numba import njit
 
 # Reassociation and reciprocals are allowed, the absence of NaN and infinity is not assumed.
 _FAST = {"contract", "arcp", "nsz", "afn", "reassoc"}
-_checked: set[str] = set()
 
 
 def kernel(function: Callable) -> Callable:
@@ -33,22 +33,17 @@ def kernel(function: Callable) -> Callable:
         compiled = njit(cache=True, **options)(function)
     except RuntimeError:  # no folder on this machine can hold the cache
         return njit(**options)(function)
-    _drop_stale(compiled.stats.cache_path)
+    drop_stale(compiled.stats.cache_path)
     return compiled
 
 
-def _drop_stale(folder: str) -> None:
+@cache
+def drop_stale(folder: str) -> None:
     """Delete the compiled code in a folder unless it was compiled from the sources as they are now."""
-    if folder in _checked:
-        return
-    _checked.add(folder)
-    digest = hashlib.sha256()
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(source.read_bytes())
-    stamp = Path(folder) / "city-sources.sha256"
+    sources = b"".join(source.read_bytes() for source in sorted(Path(__file__).parent.glob("*.py")))
+    digest, stamp = hashlib.sha256(sources).hexdigest(), Path(folder) / "artifact-city.sha256"
     with contextlib.suppress(OSError):
-        if stamp.exists() and stamp.read_text() == digest.hexdigest():
-            return
-        for code in [*Path(folder).glob("*.nbi"), *Path(folder).glob("*.nbc")]:
-            code.unlink(missing_ok=True)
-        stamp.write_text(digest.hexdigest())
+        if not stamp.exists() or stamp.read_text() != digest:
+            for code in [*Path(folder).glob("*.nbi"), *Path(folder).glob("*.nbc")]:
+                code.unlink(missing_ok=True)
+            stamp.write_text(digest)

@@ -20,10 +20,8 @@ from artifact_city.routes import (
     street_poses,
 )
 from artifact_city.town import Town, make_town
-from artifact_city.trace import BUILDING, LEAF
 from artifact_city.traffic import Crowd, moving, standing
 from artifact_city.view import CAMERAS, Camera, Pose
-from artifact_city.warm_up import compile_finishing, second_compiler
 
 
 @dataclass(frozen=True)
@@ -271,17 +269,6 @@ def render_frame(traversal: CityTraversal, index: int) -> np.ndarray:
     return expose(image, condition, CAMERAS[traversal.camera], mood)
 
 
-def visible_buildings(traversal: CityTraversal, index: int) -> np.ndarray:
-    """Numbers of the buildings seen in the middle half of a frame, sorted; they name the same building in every era."""
-    surface = trace_frame(traversal, index).surface
-    quarter = surface.shape[0] // 4
-    codes = surface[quarter:-quarter]
-    return np.unique((codes[(codes >= BUILDING) & (codes < LEAF)] - BUILDING) >> 4)
-
-
-def prepare(traversal: CityTraversal) -> None:
-    """Build and compile everything that the frames of a traversal share, before several threads want it at once."""
-    with second_compiler():
-        trace_frame(traversal, 0)
-        compile_finishing()
-    render_frame(traversal, 0)
+def compile_all() -> None:
+    """Compile every inner loop and keep the machine code on disk, by rendering one frame; about a minute."""
+    render_frame(CityTraversal(town=1, route="A2-D2", condition="rain", frames=1), 0)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from artifact_city.traversal import CityTraversal, positions, prepare, render_frame
+from artifact_city.traversal import CityTraversal, positions, render_frame
 
 JPEG_QUALITY = 90
 
@@ -54,7 +54,7 @@ def render(
     folder.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=".partial", dir=folder.parent))
     try:
-        prepare(traversal)
+        render_frame(traversal, 0)  # builds and compiles what all frames share before several threads want it at once
         names = [f"{index:06d}.jpg" for index in range(traversal.frames)]
         with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
             jobs = [pool.submit(_write_frame, traversal, k, temporary / name) for k, name in enumerate(names)]

@@ -28,8 +28,11 @@ from artifact import datasets, methods, store
 from artifact.book import parameters
 from artifact.extraction import extract, timing
 from artifact.manifest import Manifest
+from artifact.manifest.entries import ManifestError
 from artifact.methods import weights
 from artifact.pages.scope import NothingToShowError
+from artifact.studies import reported
+from artifact.studies.common import single_stage
 
 _SOURCES = (".py", ".csv", ".json", ".npy", ".mplstyle")
 _RUN_WITH = ("papermill", "ipykernel", "numpy", "torch", "scikit-learn", "pandas", "matplotlib")
@@ -110,6 +113,8 @@ def plan(
     if unknown:
         raise parameters.ParameterError(f"no notebook {unknown[0]!r} in {folder}; allowed: {', '.join(found)}")
     entry = manifest.profile(profile)
+    reported.require(manifest, profile)
+    _check_profile(manifest, profile, found)
     tasks, used = [], set()
     for name, path in found.items():
         if only and name not in only:
@@ -120,10 +125,29 @@ def plan(
         base = {"profile": profile} if "profile" in defaults else {}
         wanted = {**base, **entry.parameters.get(name, {}), **here, **asked.get(name, {})}
         values = parameters.merged(path, wanted, manifest)
-        tasks.append(Task(path, values, *_scope(manifest, profile, values)))
+        names, methods_used = _scope(manifest, profile, values)
+        if "single_stage=True" in path.read_text(encoding="utf-8"):
+            methods_used = tuple(single_stage(manifest, methods_used))
+        tasks.append(Task(path, values, names, methods_used))
     if unused := set(everywhere) - used:
         raise parameters.ParameterError(f"no notebook has a parameter {sorted(unused)[0]!r}")
     return tasks
+
+
+def _check_profile(manifest: Manifest, profile: str, notebooks: Mapping[str, Path]) -> None:
+    """Check that a profile's page parameters name what the profile has."""
+    entry = manifest.profile(profile)
+    for page, values in entry.parameters.items():
+        where = f"{manifest.path}: profiles.{profile}.parameters.{page}"
+        if page not in notebooks:
+            raise ManifestError(f"{where}: no such notebook; allowed: {', '.join(notebooks)}")
+        for several, one, allowed in (("datasets", "dataset", entry.datasets), ("methods", "method", entry.methods)):
+            named = [*(values.get(several) or []), *([values[one]] if values.get(one) else [])]
+            for name in named:
+                if name not in allowed:
+                    raise ManifestError(
+                        f"{where}: names {name!r}, which the profile lacks; it has {', '.join(allowed)}"
+                    )
 
 
 def _scope(manifest: Manifest, profile: str, values: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -70,9 +70,20 @@ def record_run(
         ),
         "",
     ]
+    _write_notice(manifest, profile)
     target = executed_folder(manifest) / _STATUS
     with store.replacing(target) as temporary:
         temporary.write_text("\n".join(lines), encoding="utf-8")
+
+
+def _write_notice(manifest: Manifest, profile: str) -> None:
+    """Put a notice above every page of the book where its numbers are not results; see ``book/_ext/offline.py``."""
+    path = executed_folder(manifest) / "notice.txt"
+    if manifest.profile(profile).made:
+        with store.replacing(path) as temporary:
+            temporary.write_text("Rehearsal: made descriptors. No number on this page is a result.", encoding="utf-8")
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _data_rows(manifest: Manifest, tasks: Sequence[Task]) -> list[list[str]]:

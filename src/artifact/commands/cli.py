@@ -120,8 +120,15 @@ def _parser() -> argparse.ArgumentParser:
 
 def _manifest(options: argparse.Namespace) -> Any:
     from artifact import manifest
+    from artifact.extraction import made
 
-    return manifest.load(options.manifest)
+    loaded = manifest.load(options.manifest)
+    profile = getattr(options, "profile", None)
+    if profile is None or not loaded.profile(profile).made:
+        return loaded
+    loaded = loaded.for_profile(profile)
+    made.make(loaded, profile)
+    return loaded
 
 
 def asked_parameters(texts: Sequence[str]) -> dict[str, dict[str, Any]]:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pandas as pd
-
-from artifact import datasets, store, studies
+from artifact import datasets, store
 from artifact.datasets import shipped
 from artifact.manifest import Manifest
 from artifact.methods import weights
 from artifact.methods.weights import lock
+from artifact.studies import reported, verdicts
 
 
 def verify(manifest: Manifest, profile: str) -> tuple[list[str], int]:
@@ -26,7 +25,7 @@ def verify(manifest: Manifest, profile: str) -> tuple[list[str], int]:
     lines
         What was checked, for the user.
     faults
-        Number of damaged files, of changed weights and of measurements more than 1 percentage point from the paper's.
+        Number of damaged files, of changed weights and of measurements that differ from the paper's.
     """
     lines, damaged = _verify_files(manifest.cache)
     more, shipped_damaged = _verify_files(shipped.folder())
@@ -63,25 +62,26 @@ def _verify_weights(manifest: Manifest, profile: str) -> tuple[list[str], int]:
 
 
 def _compare(manifest: Manifest, profile: str) -> tuple[list[str], int]:
+    """Print the verdict on every number of the paper that the profile measures."""
     entry = manifest.profile(profile)
-    reported = {name: e for name in entry.datasets if (e := manifest.dataset(name)).reported_as}
+    comparable = [name for name in entry.datasets if manifest.dataset(name).reported_as]
     methods = [name for name in entry.methods if name in reported.method_titles()]
-    if not reported or not methods:
-        what = "dataset" if not reported else "method"
+    if not comparable or not methods:
+        what = "dataset" if not comparable else "method"
         return [f"profile {profile!r} has no {what} of the paper: nothing to compare with its numbers"], 0
-    lines, different = [], 0
-    for name in reported:
+    lines, ready = [], []
+    for name in comparable:
         missing = datasets.describe_missing(manifest, name)
         if missing:
             lines.append(f"MISSING   {name}: {missing.splitlines()[0]}")
-            continue
-        for row in studies.recall.recall_table(manifest, [name], methods).table.to_dict("records"):
-            for metric in studies.common.METRICS:
-                value = row[f"reported_{metric}"]
-                judged = reported.verdict(row[metric], value, None if metric == "RSR" else row["queries"])
-                different += judged == "different"
-                shown = "–" if pd.isna(value) else f"{value:.2f}"
-                lines.append(
-                    f"{judged.upper():<9} {name} {row['method']} {metric}@1: {row[metric]:.2f} %, paper {shown} %"
-                )
-    return lines, different
+        else:
+            ready.append(name)
+    found = verdicts.of_profile(manifest, ready, methods)
+    for row in found.to_dict("records"):
+        lines.append(
+            f"{row['verdict'].upper():<11} {row['where']} · {row['dataset']} · {row['method']} · {row['quantity']}: "
+            f"{row['measured']:.2f}, paper {row['reported']} ({row['why']})"
+        )
+    counts = verdicts.tally([found])
+    lines.append(", ".join(f"{number} {verdict}" for verdict, number in counts.items()))
+    return lines, counts["differs"]

@@ -6,15 +6,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from artifact import store
 from artifact.datasets import folder, shipped
+from artifact.datasets.positives import positives_of
 from artifact.datasets.rendered import is_rendered, rendered
-from artifact.datasets.traversal import Dataset, DatasetError, Traversal
+from artifact.datasets.traversal import Dataset, DatasetError, Given, Traversal
 from artifact.manifest import Manifest
 from artifact.manifest.entries import DatasetEntry, ManifestError
 from artifact.manifest.layout import POSITIONS_FILE, positions_source
@@ -52,7 +53,8 @@ def load(manifest: Manifest, name: str, traversals: Iterable[str] | None = None)
         traversals=loaded,
         query_name=entry.query,
         database_name=entry.database,
-        real=entry.kind != "city",
+        real=entry.kind == "folder",
+        differences=tuple(_differences(entry, loaded[entry.query], loaded[entry.database])),
     )
 
 
@@ -61,8 +63,40 @@ def load_traversal(manifest: Manifest, dataset: str, name: str) -> Traversal:
     entry = manifest.dataset(dataset)
     if name not in entry.traversals:
         raise ManifestError(f"{dataset}: no traversal {name!r}; the traversals are {', '.join(entry.traversals)}")
+    if entry.traversals[name].descriptors:
+        return _load_described(manifest, dataset, entry, name)
     load_images = _load_rendered if entry.kind == "city" else _load_folder
     return load_images(manifest, dataset, entry, name)
+
+
+def _load_described(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
+    """Load a traversal that is given by its descriptors."""
+    traversal, root = entry.traversals[name], manifest.data_root / (entry.root or dataset)
+    file = root / (traversal.positions_file or f"{name}.csv")
+    names = folder.names_in_csv(file)
+    positions, found = folder.positions_from_csv(file, names)
+    if (found == "metres") != (entry.threshold.unit == "metres"):
+        raise DatasetError(
+            f"{dataset}/{name}: the threshold is in {entry.threshold.unit} but the positions in {file} are in {found}"
+        )
+    given = [
+        {method: root / path for method, path in files.items()}
+        for files in (traversal.descriptors, traversal.second_stage)
+    ]
+    missing = [path for files in given for path in files.values() if not path.is_file()]
+    if missing:
+        raise DatasetError(f"{dataset}/{name}: no file {missing[0]}, which the manifest names")
+    with_digests = [
+        {
+            method: Given(path, digest)
+            for (method, path), digest in zip(
+                files.items(), store.digest_of_files(list(files.values()), manifest.cache), strict=True
+            )
+        }
+        for files in given
+    ]
+    digest = store.key(names=names, given=[{m: g.sha256 for m, g in files.items()} for files in with_digests])
+    return Traversal(dataset, name, traversal.condition, tuple(names), positions, digest, None, *with_digests)
 
 
 def _load_folder(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
@@ -153,16 +187,21 @@ def _check_pair(name: str, entry: DatasetEntry, query: Traversal, database: Trav
             odd = sorted(set(stems[0]) ^ set(stems[1]))
             what = f"{len(odd)} names have no partner, first {odd[0]!r}" if odd else "the order differs"
             raise DatasetError(f"{name}: images are matched in pairs by file name, but {what}")
-    if entry.paper is not None:
-        for kind, traversal, count in (
-            ("query", query, entry.paper.queries),
-            ("database", database, entry.paper.database),
-        ):
-            if len(traversal) != count:
-                raise DatasetError(
-                    f"{name}/{traversal.name}: {len(traversal)} {kind} images, the paper lists {count}; "
-                    f"check the subset and the spacing, or remove the key 'paper' to go on with other data"
-                )
+
+
+def _differences(entry: DatasetEntry, query: Traversal, database: Traversal) -> Iterator[str]:
+    """Compare numbers of images with those that the paper lists."""
+    if entry.paper is None:
+        return
+    starts, _ = positives_of(query.positions, database.positions, entry.threshold.value)
+    counts = {
+        "query images": (len(query), entry.paper.queries),
+        "database images": (len(database), entry.paper.database),
+        "evaluated queries": (int((np.diff(starts) > 0).sum()), entry.paper.evaluated),
+    }
+    for what, (found, listed) in counts.items():
+        if listed is not None and found != listed:
+            yield f"{entry.title}: {found:,} {what}, the paper lists {listed:,}"
 
 
 def describe_missing(manifest: Manifest, name: str) -> str | None:

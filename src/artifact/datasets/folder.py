@@ -92,6 +92,20 @@ def positions_from_names(folder: Path, names: list[str]) -> np.ndarray:
     return _finite(positions, folder, names)
 
 
+def names_in_csv(path: Path) -> list[str]:
+    """Return the image names of a positions file in its order, for traversals without images."""
+    return [row[0].strip() for row in _rows(path)[1:]]
+
+
+def _rows(path: Path) -> list[list[str]]:
+    if not path.is_file():
+        raise DatasetError(
+            f"{path}: no such file; it should have the header image,x,y (metres) or image,index (frames)"
+        )
+    with path.open(newline="", encoding="utf-8-sig") as stream:
+        return [row for row in csv.reader(stream) if row]
+
+
 def positions_from_csv(path: Path, names: list[str]) -> tuple[np.ndarray, str]:
     """Return positions in the order of ``names`` and their unit from a CSV file.
 
@@ -109,12 +123,7 @@ def positions_from_csv(path: Path, names: list[str]) -> tuple[np.ndarray, str]:
     unit
         ``"metres"`` or ``"frames"``.
     """
-    if not path.is_file():
-        raise DatasetError(
-            f"{path}: no such file; it should have the header image,x,y (metres) or image,index (frames)"
-        )
-    with path.open(newline="", encoding="utf-8-sig") as stream:
-        rows = [row for row in csv.reader(stream) if row]
+    rows = _rows(path)
     header = [column.strip().lower() for column in rows[0]] if rows else []
     if header not in (["image", "x", "y"], ["image", "x", "y", "z"], ["image", "index"]):
         raise DatasetError(

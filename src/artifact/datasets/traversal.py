@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,6 +11,22 @@ import numpy as np
 
 class DatasetError(ValueError):
     """A dataset that cannot be used; the message names the file or folder and what to do."""
+
+
+@dataclass(frozen=True)
+class Given:
+    """A file of descriptors, local features or codes that came with a dataset.
+
+    Attributes
+    ----------
+    path
+        The ``.npy`` file.
+    sha256
+        Digest of its bytes.
+    """
+
+    path: Path
+    sha256: str
 
 
 @dataclass(frozen=True)
@@ -31,6 +48,8 @@ class Traversal:
         traversal do not depend on them.
     folder
         Folder of the images; ``None`` if only stored descriptors are at hand.
+    descriptors, second_stage
+        Files that came with the dataset, by method.
     """
 
     dataset: str
@@ -40,6 +59,8 @@ class Traversal:
     positions: np.ndarray = field(repr=False)
     digest: str
     folder: Path | None = None
+    descriptors: Mapping[str, Given] = field(default_factory=dict, repr=False)
+    second_stage: Mapping[str, Given] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         return len(self.image_names)
@@ -80,7 +101,9 @@ class Dataset:
     query_name, database_name
         Which of them are the query and the database.
     real
-        Whether the images are photographs; ``False`` for the rendered town.
+        Whether the images are photographs; ``False`` for the rendered town and for made descriptors.
+    differences
+        How the numbers of images differ from those that the paper lists, one sentence each.
     """
 
     name: str
@@ -92,6 +115,7 @@ class Dataset:
     query_name: str
     database_name: str
     real: bool
+    differences: tuple[str, ...] = ()
 
     @property
     def query(self) -> Traversal:

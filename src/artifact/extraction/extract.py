@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from artifact import methods, store
 from artifact.datasets import shipped
-from artifact.datasets.traversal import Traversal
+from artifact.datasets.traversal import DatasetError, Given, Traversal
 from artifact.extraction import local_features, partial
 from artifact.extraction.reading import ExtractionError
 from artifact.manifest import Manifest
@@ -49,7 +49,7 @@ class Descriptors:
     sha256
         Digest of the stored values.
     source
-        ``"images"`` or ``"shipped descriptors"``.
+        ``"images"``, ``"shipped descriptors"`` or ``"given descriptors"``.
     sidecar
         The record stored beside them.
     """
@@ -99,6 +99,8 @@ def descriptors(
         If the disk has no room for the descriptors.
     """
     entry = manifest.method(method)
+    if method in traversal.descriptors:
+        return _given(traversal, method)
     key = descriptor_key(traversal, method, entry, precision)
     path = stored_path(manifest, method, key)
     if not traversal.has_images and not path.with_suffix(".json").exists():
@@ -122,7 +124,7 @@ def second_stage(
     precision: str = "float32",
     workers: int | None = None,
     progress: bool = False,
-) -> local_features.Stored:
+) -> local_features.Stored | np.ndarray:
     """Return what a two-stage method stores besides descriptors: local features, or packed hash codes.
 
     They are made together with the descriptors. If only they are missing, the images are described once more.
@@ -133,6 +135,8 @@ def second_stage(
     ManifestError
         If the method's entry says nothing of local features or codes, or its model gives others.
     """
+    if method in traversal.second_stage:
+        return _rows_of(traversal, traversal.second_stage[method])
     entry = manifest.method(method)
     key = descriptor_key(traversal, method, entry, precision)
     files = _files(manifest, traversal, method, entry, key)
@@ -153,6 +157,8 @@ def second_stage(
 
 def second_stage_key(traversal: Traversal, method: str, entry: MethodEntry, precision: str = "float32") -> str:
     """Return the content key of a traversal's local features or codes."""
+    if method in traversal.second_stage:
+        return traversal.second_stage[method].sha256
     return _second_key(descriptor_key(traversal, method, entry, precision), entry)
 
 
@@ -167,7 +173,7 @@ def check_disk(manifest: Manifest, traversals: Iterable[Traversal], names: Itera
     needs, traversals = [], list(traversals)
     for method in names:
         entry = manifest.method(method)
-        for traversal in traversals:
+        for traversal in (t for t in traversals if method not in t.descriptors):
             files = _files(manifest, traversal, method, entry, descriptor_key(traversal, method, entry))
             if files is not None:
                 needs.append(files.need(f"{method} · {traversal.dataset}/{traversal.name}"))
@@ -198,7 +204,9 @@ def _files(
 
 
 def is_ready(manifest: Manifest, traversal: Traversal, method: str) -> bool:
-    """Whether descriptors are stored or shipped, so that nothing would be extracted."""
+    """Whether descriptors are given, stored or shipped, so that nothing would be extracted."""
+    if method in traversal.descriptors:
+        return True
     key = descriptor_key(traversal, method, manifest.method(method))
     stored = stored_path(manifest, method, key).with_suffix(".json").exists()
     return stored or (not traversal.has_images and shipped.descriptors(key) is not None)
@@ -222,6 +230,30 @@ def descriptor_key(traversal: Traversal, method: str, entry: MethodEntry, precis
 def stored_path(manifest: Manifest, method: str, key: str) -> Path:
     """Return the file that holds, or would hold, the descriptors of a key."""
     return manifest.cache / "descriptors" / method / f"{key[:24]}.npy"
+
+
+def _given(traversal: Traversal, method: str) -> Descriptors:
+    """Return the descriptors that came with a traversal."""
+    file = traversal.descriptors[method]
+    values = _rows_of(traversal, file)
+    if values.ndim != 2 or values.dtype not in (np.float32, np.float16):
+        raise DatasetError(f"{file.path}: holds {values.dtype} {values.shape}; allowed: float32 or float16 of (n, d)")
+    if not np.isfinite(values.sum(axis=1, dtype=np.float64)).all():
+        raise DatasetError(f"{file.path}: has NaN or infinite values")
+    sidecar = {"shape": list(values.shape), "key": file.sha256}
+    return Descriptors(values.astype(np.float32, copy=False), file.sha256, file.sha256, "given descriptors", sidecar)
+
+
+def _rows_of(traversal: Traversal, file: Given) -> np.ndarray:
+    try:
+        values = np.load(file.path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{file.path}: cannot be read as a NumPy array ({error})") from None
+    if len(values) != len(traversal):
+        raise DatasetError(
+            f"{file.path}: {len(values)} rows for the {len(traversal)} images of {traversal.dataset}/{traversal.name}"
+        )
+    return values
 
 
 def _load(path: Path, key: str, source: str) -> Descriptors:

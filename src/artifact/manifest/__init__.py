@@ -8,11 +8,19 @@ values allowed.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from artifact.manifest.entries import DatasetEntry, Document, ManifestError, MethodEntry, ProfileEntry, quoted
+from artifact.manifest.entries import (
+    DatasetEntry,
+    Document,
+    ManifestError,
+    MethodEntry,
+    ProfileEntry,
+    TraversalEntry,
+    quoted,
+)
 from artifact.manifest.faults import read
 from artifact.manifest.layout import entry_of_folder
 
@@ -72,6 +80,30 @@ class Manifest:
     def profile(self, name: str) -> ProfileEntry:
         """Return one profile entry, or raise :class:`ManifestError` with the names that exist."""
         return _lookup(self.profiles, name, "profile", self.path)
+
+    def for_profile(self, name: str) -> Manifest:
+        """Return the manifest as a profile sees it: with made descriptors in the place of images if it asks for them."""
+        profile = self.profile(name)
+        if not profile.made:
+            return self
+        root = self.cache / "rehearsal"
+        methods = {method: self.methods[method] for method in profile.methods}
+        made = {dataset: _made(self.datasets[dataset], root / dataset, methods) for dataset in profile.datasets}
+        return replace(self, datasets={**self.datasets, **made})
+
+
+def _made(entry: DatasetEntry, root: Path, methods: dict[str, MethodEntry]) -> DatasetEntry:
+    second = [name for name, method in methods.items() if method.rerank is not None]
+    traversals = {
+        name: TraversalEntry(
+            condition=traversal.condition,
+            positions_file=f"{name}.csv",
+            descriptors={method: f"{name}-{method}.npy" for method in methods},
+            second_stage={method: f"{name}-{method}-second.npy" for method in second},
+        )
+        for name, traversal in entry.traversals.items()
+    }
+    return entry.model_copy(update={"kind": "made", "root": str(root), "traversals": traversals})
 
 
 def load(path: str | os.PathLike[str] | None = None) -> Manifest:

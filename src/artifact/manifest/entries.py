@@ -56,6 +56,10 @@ class TraversalEntry(_Strict):
     (``@utm_east@utm_north@...`` file names) or ``order`` (the frame order). ``image_list`` is a text file of
     file names that selects and orders the images. ``spacing`` thins the traversal: a frame is kept when it
     is at least that many metres from the last frame kept. ``render`` describes a rendered traversal.
+
+    ``descriptors`` are files of descriptors that another tool made, by method: ``.npy``, one row for each row of the
+    positions file; ``second_stage`` the same for local features or packed codes of two-stage methods. With them a
+    traversal needs no images.
     """
 
     condition: str
@@ -65,6 +69,8 @@ class TraversalEntry(_Strict):
     image_list: str | None = None
     spacing: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     render: dict[str, Any] | None = None
+    descriptors: dict[str, str] = {}
+    second_stage: dict[str, str] = {}
 
 
 class Source(_Strict):
@@ -75,7 +81,7 @@ class Source(_Strict):
 
 
 class PaperCounts(_Strict):
-    """Image counts that the paper states; asserted when the real dataset is loaded."""
+    """Image counts that the paper states; a difference is shown wherever the dataset is used."""
 
     queries: int = Field(gt=0)
     database: int = Field(gt=0)
@@ -88,11 +94,12 @@ class DatasetEntry(_Strict):
     ``distractor_traversals`` offer pools of further conditions (paper Fig. 7). ``same_condition_traversal`` has the
     query's kind of condition; some of its frames join the database in the maps (Figs. 2 and 9).
     ``irrelevant_pairs`` are query–database pairs of conditions that no transform is fitted on (Table V).
+    ``coordinates`` names the frame that positions are in, for datasets that share places; default: the ``root``.
     ``reported_as`` is the paper's name of the dataset, where its numbers can be compared.
     """
 
     title: str
-    kind: Literal["folder", "city"]
+    kind: Literal["folder", "city", "made"]
     threshold: Threshold
     query: Name
     database: Name
@@ -100,6 +107,7 @@ class DatasetEntry(_Strict):
     shift: str = ""
     root: str | None = None
     mirrors: str | None = None
+    coordinates: str | None = None
     distractor_traversals: list[Name] = []
     same_condition_traversal: Name | None = None
     irrelevant_pairs: list[Annotated[list[Name], Field(min_length=2, max_length=2)]] = []
@@ -111,6 +119,8 @@ class DatasetEntry(_Strict):
 
     @model_validator(mode="after")
     def _traversals_exist(self) -> DatasetEntry:
+        if self.kind == "made":
+            raise ValueError("found kind 'made', which a profile with 'made: true' makes; allowed: 'folder' or 'city'")
         named = {"query": [self.query], "database": [self.database]}
         named["distractor_traversals"] = self.distractor_traversals
         named["same_condition_traversal"] = [self.same_condition_traversal] if self.same_condition_traversal else []
@@ -258,12 +268,16 @@ class MethodEntry(_Strict):
 
 
 class ProfileEntry(_Strict):
-    """What one run covers: datasets, methods and notebook parameters."""
+    """What one run covers: datasets, methods and notebook parameters.
+
+    ``made`` puts made descriptors in the place of images and weights: a rehearsal of a run, never a result.
+    """
 
     description: str
     datasets: list[str] = Field(min_length=1)
     methods: list[str] = Field(min_length=1)
     parameters: dict[str, dict[str, Any]] = {}
+    made: bool = False
 
 
 class Document(_Strict):

@@ -58,11 +58,14 @@ def _plain(node: yaml.Node, path: Path) -> Any:
         return [_plain(item, path) for item in node.value]
     loader = yaml.SafeLoader("")
     try:
-        value = loader.construct_object(node)
+        return loader.construct_object(node)
+    except yaml.YAMLError:
+        line = node.start_mark.line + 1
+        raise ManifestError(
+            f"{path}:{line}: found {node.value!r} with the tag {node.tag}; allowed: plain text, numbers, true, false, null"
+        ) from None
     finally:
         loader.dispose()
-    # A number is accepted where a float is asked for, as every YAML author expects of `value: 25`.
-    return value
 
 
 def _line(root: yaml.Node, location: tuple[Any, ...]) -> int:

@@ -1,1 +1,1 @@
-"""R@K, DAR@K, RSR@K and their sweeps, of one-stage and two-stage methods, with intervals and tests."""
+"""R@K, DAR@K, RSR@K and their sweeps, of one-stage and two-stage methods, with intervals."""

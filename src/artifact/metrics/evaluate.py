@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from artifact.metrics.evaluation import QUERY_POOL, Evaluation, _is_integer
-from artifact.ranking.one_pass import ImageSet, LowRank, Options, rank, squared_norms
+from artifact.ranking.one_pass import ImageSet, LowRank, Options, Similarity, rank, squared_norms
 
 _UNIT_TOLERANCE = 1e-3
 
@@ -21,10 +21,16 @@ def evaluate(
     threshold: float,
     distractors: np.ndarray | Mapping[str, np.ndarray] | None = None,
     distractor_positions: np.ndarray | Mapping[str, np.ndarray] | None = None,
+    *,
     views: Mapping[str, LowRank] | None = None,
-    similarity: str = "cosine",
+    similarity: Similarity = "cosine",
     device: Any = None,
-    **options: Any,
+    depth: int = 10,
+    draws: int = 10,
+    retrieve: int = 0,
+    view_sweeps: bool = False,
+    seed: int = 0,
+    memory: int = 256 * 2**20,
 ) -> Evaluation:
     """Evaluate descriptors: R@K, DAR@K and RSR@K for every K, and both sweeps, from one pass.
 
@@ -47,8 +53,8 @@ def evaluate(
         taken as they are, and must come with unit length).
     device
         ``None`` takes CUDA if there is any, else the CPU.
-    **options
-        ``depth``, ``draws``, ``retrieve``, ``view_sweeps``, ``seed``, ``memory`` of :class:`artifact.ranking.one_pass.Options`.
+    depth, draws, retrieve, view_sweeps, seed, memory
+        As in :class:`artifact.ranking.one_pass.Options`.
 
     Returns
     -------
@@ -76,7 +82,7 @@ def evaluate(
     >>> result.recall(1), result.dar(1), result.rsr(1), result.dar(2)
     (1.0, 0.0, 0.0, 1.0)
     """
-    chosen = _options(similarity, device, options)
+    options = _checked(Options(similarity, depth, draws, retrieve, view_sweeps, seed, memory, device))
     threshold = _checked_threshold(threshold)
     query_set = _image_set("queries", queries, query_positions, similarity)
     database_set = _image_set("database", database, database_positions, similarity)
@@ -86,7 +92,7 @@ def evaluate(
         pools[name] = None if images is None else _image_set(f"distractors {name!r}", images, positions, similarity)
         if pools[name] is not None:
             _same_width(("queries", query_set), (f"distractors {name!r}", pools[name]))
-    ranking = rank(query_set, database_set, threshold, pools, views, chosen)
+    ranking = rank(query_set, database_set, threshold, pools, views, options)
     evaluated = query_set.positions[ranking.evaluated]
     return Evaluation(
         ranking=ranking,
@@ -98,18 +104,16 @@ def evaluate(
     )
 
 
-def _options(similarity: str, device: Any, options: Mapping[str, Any]) -> Options:
-    if similarity not in ("cosine", "l2", "dot"):
-        raise ValueError(f"similarity is {similarity!r}; allowed: 'cosine', 'l2', 'dot'")
-    lowest = {"depth": 1, "draws": 0, "retrieve": 0, "seed": 0, "memory": 2**20}
-    for name, value in options.items():
-        if name == "view_sweeps" and isinstance(value, bool):
-            continue
-        if name not in lowest:
-            raise TypeError(f"unknown option {name!r}; allowed: {', '.join([*lowest, 'view_sweeps'])}")
-        if not _is_integer(value) or value < lowest[name]:
-            raise ValueError(f"{name} is {value!r}; allowed: whole numbers from {lowest[name]}")
-    return Options(similarity=similarity, device=device, **options)
+def _checked(options: Options) -> Options:
+    if options.similarity not in ("cosine", "l2", "dot"):
+        raise ValueError(f"similarity is {options.similarity!r}; allowed: 'cosine', 'l2', 'dot'")
+    for name, lowest in {"depth": 1, "draws": 0, "retrieve": 0, "seed": 0, "memory": 2**20}.items():
+        value = getattr(options, name)
+        if not _is_integer(value) or value < lowest:
+            raise ValueError(f"{name} is {value!r}; allowed: whole numbers from {lowest}")
+    if not isinstance(options.view_sweeps, bool):
+        raise TypeError(f"view_sweeps is {options.view_sweeps!r}; allowed: True, False")
+    return options
 
 
 def _named_pools(distractors: Any, positions: Any) -> dict[str, tuple[Any, Any]]:

@@ -164,13 +164,14 @@ class Evaluation:
         numpy.ndarray
             ``(len(ratios),)`` float64.
         """
-        sizes = self._sizes(ratios)
+        return self.chances_by_ratio(ratios, k).mean(axis=0)
+
+    def chances_by_ratio(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
+        """Return each query's chance of a hit at the ratios of :meth:`dar_by_ratio`, ``(n, len(ratios))``."""
         spare = _checked_k(k) - 1 - self.database_counts.beaters
         beaters = self.distractor_counts.beaters
-        shares = np.empty(len(sizes))
-        for index, size in enumerate(sizes):
-            shares[index] = _at_most(spare, self.n_distractors, beaters, int(size)).mean()
-        return shares
+        chances = [_at_most(spare, self.n_distractors, beaters, int(size)) for size in self._sizes(ratios)]
+        return np.stack(chances, axis=1) if chances else np.empty((self.n_queries, 0))
 
     def dar_by_ratio_draws(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
         """Return DAR@K for nested random subsets of the pool, one row for each stored draw.
@@ -206,11 +207,14 @@ class Evaluation:
         numpy.ndarray
             ``(len(distances),)`` float64.
         """
+        return self.hits_by_distance(distances, k).mean(axis=0)
+
+    def hits_by_distance(self, distances: Sequence[float], k: int = 1) -> np.ndarray:
+        """Return ``(n, len(distances))`` bool: each query's hits behind :meth:`dar_by_distance`."""
         limits = self._limits(distances)
         needed = self._needed(k)
         distance = np.take_along_axis(self.distractor_counts.farthest, np.maximum(needed - 1, 0)[:, None], axis=1)[:, 0]
-        hits = ~(distance[:, None] > limits) & (needed > 0)[:, None]
-        return hits.mean(axis=0)
+        return ~(distance[:, None] > limits) & (needed > 0)[:, None]
 
     def _sizes(self, ratios: Sequence[float]) -> np.ndarray:
         values = np.asarray(ratios, np.float64)

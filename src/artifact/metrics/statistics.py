@@ -1,4 +1,4 @@
-"""How sure a number is: intervals along a traversal, paired tests, agreement of rankings.
+"""How sure a number is: intervals along a traversal, agreement of rankings.
 
 Neighbouring images of a traversal succeed and fail together, so queries are resampled in blocks of consecutive
 ones (circular block bootstrap, Politis and Romano 1992); treating them as independent would give intervals that
@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import bdtr
+from scipy.stats import kendalltau
 
 from artifact.metrics.evaluation import Evaluation
 
@@ -85,28 +85,45 @@ def intervals(
     return found
 
 
-def paired_test(hits: np.ndarray, other_hits: np.ndarray) -> float:
-    """Return McNemar's exact two-sided p-value for two methods on the same queries.
+def interval_of_means(
+    values: np.ndarray,
+    positions: np.ndarray,
+    threshold: float,
+    *,
+    confidence: float = 0.95,
+    count: int = 1000,
+    seed: int = 0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return bootstrap intervals of the means of several per-query values.
 
-    Examples
-    --------
-    >>> paired_test(np.array([1, 1, 1, 1, 0], bool), np.array([0, 0, 0, 0, 0], bool))
-    0.125
+    Parameters
+    ----------
+    values
+        ``(n, m)``: for each query, m hits or chances of a hit.
+    positions, threshold
+        Of the queries; they give the length of the blocks, see :func:`block_length`.
+    confidence, count, seed
+        As in :func:`intervals`.
+
+    Returns
+    -------
+    low, high
+        ``(m,)`` each.
     """
-    only, other_only = int((hits & ~other_hits).sum()), int((other_hits & ~hits).sum())
-    # Two-sided: twice the smaller tail of a fair coin.
-    return float(min(1.0, 2 * bdtr(min(only, other_only), only + other_only, 0.5)))
+    draws = resamples(len(values), block_length(positions, threshold), count, seed)
+    # How often each query is drawn says all about a mean, and needs no array of draws × queries × m.
+    weights = np.stack([np.bincount(draw, minlength=len(values)) for draw in draws]) / len(values)
+    means = weights @ np.asarray(values, np.float64)
+    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2], axis=0)
+    return low, high
 
 
 def rank_agreement(values: np.ndarray, other_values: np.ndarray) -> float:
-    """Return Kendall's tau-b between two scores of the same methods: 1 is the same order, -1 the reverse.
+    """Return Kendall's tau-b between two scores of the same methods: 1 is the same order, -1 the reverse; NaN if undefined.
 
     Examples
     --------
-    >>> rank_agreement(np.array([1.0, 2.0, 3.0]), np.array([1.0, 3.0, 2.0]))
-    0.3333333333333333
+    >>> round(rank_agreement(np.array([1.0, 2.0, 3.0]), np.array([1.0, 3.0, 2.0])), 9)
+    0.333333333
     """
-    signs = [np.sign(np.subtract.outer(v, v)) for v in (np.asarray(values, float), np.asarray(other_values, float))]
-    agreement = (signs[0] * signs[1]).sum()
-    pairs = np.sqrt((signs[0] ** 2).sum() * (signs[1] ** 2).sum())
-    return float(agreement / pairs) if pairs else float("nan")
+    return float(kendalltau(values, other_values).statistic) if len(values) > 1 else float("nan")

@@ -99,14 +99,24 @@ class TwoStageEvaluation(Evaluation):
 
     def dar_by_ratio_draws(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
         """Return DAR@K for nested random subsets of the pool, ``(draws, len(ratios))`` float64."""
+        return self._hits_by_draw(ratios, k).mean(axis=0)
+
+    def chances_by_ratio(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
+        """Return the share of draws in which each query is a hit, ``(n, len(ratios))``."""
+        return self._hits_by_draw(ratios, k).mean(axis=1)
+
+    def _hits_by_draw(self, ratios: Sequence[float], k: int) -> np.ndarray:
         sizes, sweep = self._sizes(ratios), self.sweep_of(self.pool_name)
         ranks = sweep.number.below(sizes).reshape(self.n_queries, sweep.draws, len(sizes))
-        return (ranks <= self._within(k)).mean(axis=0)
+        return ranks <= self._within(k)
 
     def dar_by_distance(self, distances: Sequence[float], k: int = 1) -> np.ndarray:
         """Return DAR@K when only distractors farther than a distance are used, ``(len(distances),)`` float64."""
-        limits = self._limits(distances)
-        return (self.sweep_of(self.pool_name).distance.below(-limits) <= self._within(k)).mean(axis=0)
+        return self.hits_by_distance(distances, k).mean(axis=0)
+
+    def hits_by_distance(self, distances: Sequence[float], k: int = 1) -> np.ndarray:
+        """Return ``(n, len(distances))`` bool: each query's hits behind :meth:`dar_by_distance`."""
+        return self.sweep_of(self.pool_name).distance.below(-self._limits(distances)) <= self._within(k)
 
     def retrieved(self, k: int = 1, *, distractors: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return indices and second-stage scores of each query's top K images, as ``Evaluation.retrieved``."""

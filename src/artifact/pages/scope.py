@@ -15,6 +15,9 @@ from artifact.pages.style import use_style
 __all__ = ["NothingToShowError", "Page", "open_page"]
 
 
+MADE = "Rehearsal: made descriptors. No number on this page is a result; it shows that the page can be made."
+
+
 class NothingToShowError(ManifestError):
     """No dataset of the run has what a page needs; the page then says so instead of failing the run."""
 
@@ -75,6 +78,8 @@ class Page:
     @property
     def label(self) -> str:
         """One line that says what the numbers on the page are from."""
+        if self.manifest.profile(self.profile).made:
+            return MADE
         kinds = {self.manifest.method(name).kind for name in self.methods}
         what = {"baseline": "baselines, not methods of the paper", "paper": "methods of the paper"}
         rendered = [self.dataset_titles[name] for name in self.rendered]
@@ -191,7 +196,7 @@ def open_page(profile: str, **parameters: Any) -> Page:
         with ``dataset`` or ``method`` then calls :meth:`Page.choose`.
     """
     use_style()
-    manifest = manifests.load()
+    manifest = manifests.load().for_profile(profile)
     entry = manifest.profile(profile)
 
     def named(several: str, one: str, default: list[str]) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from artifact.studies import (
     recall,
     reported,
     suppression,
+    verdicts,
     within_session,
 )
 
@@ -35,5 +36,6 @@ __all__ = [
     "recall",
     "reported",
     "suppression",
+    "verdicts",
     "within_session",
 ]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from artifact.manifest import Manifest
+from artifact.metrics.statistics import interval_of_means
 from artifact.studies.evaluated import Measured
 
 PERCENT = 100.0
@@ -32,10 +35,28 @@ class Study:
 
 def origin(measured: Measured) -> str:
     """Say in words what a measurement is from."""
+    sources = {record["source"] for record in measured.inputs}
+    if "given descriptors" in sources:
+        return "given descriptors" if measured.dataset.real else "made descriptors"
     if not measured.dataset.real:
         return "rendered images"
     stored = any(record["source"] != "images" for record in measured.inputs)
     return "real images, shipped descriptors" if stored else "real images"
+
+
+def single_stage(manifest: Manifest, methods: Iterable[str]) -> list[str]:
+    """Return the methods that describe an image by one descriptor alone.
+
+    Suppression and mixed databases take these only, as in the paper (§V-A): the first stage of a two-stage method is
+    never passed off as the method.
+    """
+    return [method for method in methods if manifest.method(method).rerank is None]
+
+
+def percent_interval(values: np.ndarray, evaluation: Any, *, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the 95 % intervals, in percent, of the means of per-query values ``(n, m)`` of an evaluation."""
+    low, high = interval_of_means(values, evaluation.query_positions, evaluation.threshold, seed=seed)
+    return PERCENT * low, PERCENT * high
 
 
 def is_reported(manifest: Manifest, dataset: str, name: str, k: int = 1) -> bool:

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.spatial import cKDTree
 
 from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
 from artifact.studies import fitted, reported
-from artifact.studies.common import PERCENT, Study
+from artifact.studies.common import PERCENT, Study, single_stage
 from artifact.studies.fitted import LOW_RANK
 
 WITHIN_PP = 1.0
@@ -56,7 +57,7 @@ def single_against_multi(
         (single minus multi) in percentage points.
     """
     rows, inputs = [], []
-    for method in methods:
+    for method in single_stage(manifest, methods):
         for suppressor in LOW_RANK:
             erasure, described = fitted.sequential(
                 manifest, names, method, suppressor, fraction=fraction, iterations=iterations, seed=seed
@@ -68,6 +69,7 @@ def single_against_multi(
                 row: dict[str, Any] = {
                     "suppression": suppressor,
                     "dataset": name,
+                    "reported_as": manifest.dataset(name).reported_as,
                     "title": one.dataset.title,
                     "method": method,
                 }
@@ -94,8 +96,8 @@ def irrelevant_conditions(
 ) -> Study:
     """Table V: the composed transform on condition pairs that it was not fitted on.
 
-    The pairs are the ``irrelevant_pairs`` of the datasets in the manifest. Queries and database images of the fitting
-    region stay out.
+    The pairs are the ``irrelevant_pairs`` of the datasets in the manifest. A dataset that is fitted on the pair itself
+    leaves the composition, and the places of every region that an applied transform was fitted on stay out.
 
     Returns
     -------
@@ -105,18 +107,20 @@ def irrelevant_conditions(
         ``difference_DAR`` (original minus erased) in percentage points.
     """
     rows, inputs = [], []
-    for method in methods:
-        erasures = {
-            suppressor: fitted.sequential(
-                manifest, names, method, suppressor, fraction=fraction, iterations=iterations, seed=seed
-            )[0].composed
-            for suppressor in LOW_RANK
-        }
+    for method in single_stage(manifest, methods):
         for name in names:
             entry = manifest.dataset(name)
             for query, database in entry.irrelevant_pairs:
+                chosen = [other for other in names if not _is_pair(manifest, other, name, query, database)]
+                erasures = {
+                    suppressor: fitted.sequential(
+                        manifest, chosen, method, suppressor, fraction=fraction, iterations=iterations, seed=seed
+                    )[0].composed
+                    for suppressor in LOW_RANK
+                }
                 described = describe(manifest, name, method, [query, database])
-                result = _evaluate_pair(described, query, database, fraction, erasures, seed)
+                places = fitted_places(manifest, chosen, name, method, fraction)
+                result = _evaluate_pair(described, query, database, places, erasures, seed)
                 conditions = [entry.traversals[traversal].condition for traversal in (query, database)]
                 pair = "–".join(conditions) if len(set(conditions)) > 1 else f"{query}–{database}"
                 for suppressor in LOW_RANK:
@@ -125,6 +129,7 @@ def irrelevant_conditions(
                         "suppression": suppressor,
                         "pair": pair,
                         "dataset": name,
+                        "reported_as": entry.reported_as,
                         "title": entry.title,
                         "method": method,
                         "queries": before.n_queries,
@@ -137,24 +142,58 @@ def irrelevant_conditions(
     return Study(pd.DataFrame(rows), tuple(inputs))
 
 
+def _is_pair(manifest: Manifest, other: str, name: str, query: str, database: str) -> bool:
+    """Whether a dataset is fitted on just this pair of traversals."""
+    entry = manifest.dataset(other)
+    same = (entry.root or other) == (manifest.dataset(name).root or name)
+    return same and {entry.query, entry.database} == {query, database}
+
+
+def fitted_places(
+    manifest: Manifest, names: Iterable[str], name: str, method: str, fraction: float
+) -> list[tuple[np.ndarray, float]]:
+    """Return the places that transforms of several datasets were fitted on, in the coordinates of one dataset.
+
+    Returns
+    -------
+    list
+        Positions ``(n, p)`` of the fitting queries of each dataset that shares these coordinates, with its threshold.
+    """
+
+    def frame(of: str) -> str:
+        entry = manifest.dataset(of)
+        return entry.coordinates or entry.root or of
+
+    shared = [other for other in names if frame(other) == frame(name)]
+    found = []
+    for other in shared:
+        one = describe(manifest, other, method)
+        rows = fitted.split_of(one, fraction).fit_queries
+        found.append((one.dataset.query.positions[rows], one.dataset.threshold))
+    return found
+
+
 def _evaluate_pair(
-    described: Described, query: str, database: str, fraction: float, views: dict[str, Any], seed: int
-) -> Evaluation:  # fmt: skip
-    """Evaluate another pair of traversals of a dataset outside the dataset's own fitting region."""
-    from artifact.suppression.regions import split
+    described: Described,
+    query: str,
+    database: str,
+    places: Sequence[tuple[np.ndarray, float]],
+    views: dict[str, Any],
+    seed: int,
+) -> Evaluation:
+    """Evaluate a pair of traversals at the places that no transform was fitted on."""
+    values, positions = [], []
+    for name in (query, database):
+        where = described.dataset.traversals[name].positions
+        kept = np.ones(len(where), bool)
+        for fitting_places, threshold in places:
+            kept &= cKDTree(fitting_places).query(where)[0] > threshold
+        values.append(described.descriptors[name].values[kept])
+        positions.append(where[kept])
+    return evaluate(*values, *positions, described.dataset.threshold, views=views, seed=seed)
 
-    traversals = described.dataset.traversals
-    places = traversals[query].positions, traversals[database].positions
-    region = split(*places, described.dataset.threshold, fraction)
-    return evaluate(
-        described.descriptors[query].values[region.evaluation_queries],
-        described.descriptors[database].values[region.evaluation_database],
-        places[0][region.evaluation_queries], places[1][region.evaluation_database], described.dataset.threshold,
-        views=views, seed=seed,
-    )  # fmt: skip
 
-
-def summary(table: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
+def summary(table: pd.DataFrame, by: Sequence[str], *, ddof: int = 1) -> pd.DataFrame:
     """Summarise differences as Tables IV and V do: mean ± standard deviation, and the number within 1 pp.
 
     Parameters
@@ -163,11 +202,13 @@ def summary(table: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
         As from :func:`single_against_multi` or :func:`irrelevant_conditions`.
     by
         Columns to group by.
+    ddof
+        Of the standard deviation; the paper does not say which, 1 is that of a sample.
 
     Returns
     -------
     pandas.DataFrame
-        One row per group: ``by``, ``pairs``, and for DAR and R ``mean``, ``std`` (population) and ``within`` columns.
+        One row per group: ``by``, ``pairs``, and for DAR and R ``mean``, ``std`` and ``within`` columns.
     """
     rows = []
     for keys, part in table.groupby(list(by), sort=False):
@@ -176,7 +217,7 @@ def summary(table: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
             values = part[f"difference_{metric}"]
             row |= {
                 f"mean_{metric}": values.mean(),
-                f"std_{metric}": values.std(ddof=0),
+                f"std_{metric}": values.std(ddof=ddof),
                 f"within_{metric}": int((np.abs(values) <= WITHIN_PP + 1e-9).sum()),
             }
         rows.append(row)

@@ -12,7 +12,7 @@ from artifact import datasets as data
 from artifact.datasets.positives import positives_of
 from artifact.manifest import Manifest
 from artifact.studies import evaluated, reported
-from artifact.studies.common import PERCENT, Study, is_reported
+from artifact.studies.common import PERCENT, Study, is_reported, percent_interval
 
 
 def distractor_number(
@@ -22,6 +22,7 @@ def distractor_number(
     ratios: Sequence[float],
     *,
     k: int = 1,
+    draws: int = 10,
     seed: int = 0,
 ) -> Study:
     """Fig. 6a: DAR@K against the ratio of distractors to queries.
@@ -30,22 +31,31 @@ def distractor_number(
     -------
     Study
         One row per method and ratio: ``method``, ``ratio``, ``DAR`` (exact expectation over random subsets, in
-        percent), ``draw_low`` and ``draw_high`` (lowest and highest of the nested random draws), ``reported``.
+        percent; for two-stage methods the mean of draws), ``draws`` (their number; 0 where the expectation is exact),
+        ``draw_low`` and ``draw_high`` (lowest and highest of the nested random draws), ``low`` and ``high`` (the 95 %
+        interval, widened to the draws: the paper shows one), ``reported``.
     """
     curves = _reported_curves("fig06_number", "ratio") if is_reported(manifest, dataset, "robotcar", k) else {}
     rows, inputs = [], []
     for method in methods:
-        measured = evaluated.evaluation(manifest, dataset, method, seed=seed)
-        draws = measured.evaluation.dar_by_ratio_draws(ratios, k)
-        for index, (ratio, value) in enumerate(zip(ratios, measured.evaluation.dar_by_ratio(ratios, k), strict=True)):
+        measured = evaluated.evaluation(manifest, dataset, method, draws=draws, seed=seed)
+        result = measured.evaluation
+        drawn = PERCENT * result.dar_by_ratio_draws(ratios, k)
+        chances = result.chances_by_ratio(ratios, k)
+        low, high = percent_interval(chances, result, seed=seed)
+        for index, ratio in enumerate(map(float, ratios)):
+            of_draws = drawn[:, index].min(), drawn[:, index].max()
             rows.append(
                 {
                     "method": method,
-                    "ratio": float(ratio),
-                    "DAR": PERCENT * value,
-                    "draw_low": PERCENT * draws[:, index].min(),
-                    "draw_high": PERCENT * draws[:, index].max(),
-                    "reported": curves.get((method, round(float(ratio), 6)), np.nan),
+                    "ratio": ratio,
+                    "DAR": PERCENT * chances[:, index].mean(),
+                    "draws": 0 if manifest.method(method).rerank is None else len(drawn),
+                    "draw_low": of_draws[0],
+                    "draw_high": of_draws[1],
+                    "low": min(low[index], of_draws[0]),
+                    "high": max(high[index], of_draws[1]),
+                    "reported": curves.get((method, round(ratio, 6)), np.nan),
                 }
             )
         inputs += measured.inputs
@@ -67,7 +77,7 @@ def distractor_distance(
     -------
     Study
         One row per method and distance (metres or frames; infinity is no distractor): ``method``, ``distance``,
-        ``DAR`` in percent, ``reported``.
+        ``DAR`` in percent with its 95 % interval ``low`` and ``high``, ``hits`` of ``queries``, ``reported``.
     """
     curves = {}
     if is_reported(manifest, dataset, "robotcar", k):
@@ -75,9 +85,11 @@ def distractor_distance(
     rows, inputs = [], []
     for method in methods:
         measured = evaluated.evaluation(manifest, dataset, method, seed=seed)
-        for distance, value in zip(distances, measured.evaluation.dar_by_distance(distances, k), strict=True):
-            reported = curves.get((method, round(float(distance), 6)), np.nan)
-            rows.append({"method": method, "distance": float(distance), "DAR": PERCENT * value, "reported": reported})
+        hits = measured.evaluation.hits_by_distance(distances, k)
+        low, high = percent_interval(hits, measured.evaluation, seed=seed)
+        for index, distance in enumerate(map(float, distances)):
+            row = {"method": method, "distance": distance} | _share(hits[:, index], low[index], high[index])
+            rows.append(row | {"reported": curves.get((method, round(distance, 6)), np.nan)})
         inputs += measured.inputs
     return Study(pd.DataFrame(rows), tuple(inputs))
 
@@ -93,8 +105,8 @@ def distractor_condition(
     Returns
     -------
     Study
-        One row per method and pool: ``method``, ``traversal``, ``condition``, ``pool_size``, ``DAR`` in percent,
-        ``reported``.
+        One row per method and pool: ``method``, ``traversal``, ``condition``, ``pool_size``, ``DAR`` in percent with its
+        95 % interval ``low`` and ``high``, ``hits`` of ``queries``, ``reported``.
     """
     entry = manifest.dataset(dataset)
     if not entry.distractor_traversals:
@@ -117,21 +129,21 @@ def distractor_condition(
     rows, inputs = [], []
     for method in methods:
         measured = evaluated.evaluation(manifest, dataset, method, distractors=names, pool_size=size, seed=seed)
-        shares = {name: (entry.traversals[name].condition, measured.evaluation.pool(name).dar(k)) for name in names}
-        shares["none"] = ("none", measured.evaluation.recall(k))
-        for name, (condition, value) in shares.items():
-            rows.append(
-                {
-                    "method": method,
-                    "traversal": name,
-                    "condition": condition,
-                    "pool_size": 0 if name == "none" else size,
-                    "DAR": PERCENT * value,
-                    "reported": curves.get((method, condition), np.nan),
-                }
-            )
+        result = measured.evaluation
+        hits = {name: result.pool(name).hits(k, distractors=True) for name in names}
+        hits["none"] = result.hits(k, distractors=False)
+        low, high = percent_interval(np.stack(list(hits.values()), axis=1), result, seed=seed)
+        for index, (name, found) in enumerate(hits.items()):
+            condition = "none" if name == "none" else entry.traversals[name].condition
+            row = {"method": method, "traversal": name, "condition": condition}
+            row |= {"pool_size": 0 if name == "none" else size} | _share(found, low[index], high[index])
+            rows.append(row | {"reported": curves.get((method, condition), np.nan)})
         inputs += measured.inputs
     return Study(pd.DataFrame(rows), tuple(inputs))
+
+
+def _share(hits: np.ndarray, low: float, high: float) -> dict[str, float]:
+    return {"DAR": PERCENT * hits.mean(), "low": low, "high": high, "hits": int(hits.sum()), "queries": len(hits)}
 
 
 def _reported_curves(table: str, x: str) -> dict[tuple[str, Any], float]:

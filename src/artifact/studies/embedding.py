@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,7 @@ def embedding(
     region = fitted.split_of(described, fraction)
     loaded = described.dataset
     places = loaded.query.positions[region.evaluation_queries], loaded.database.positions[region.evaluation_database]
-    key = key_of("umap", [described], [fraction, iterations, seed])
+    key = key_of("umap", [described], [fraction, iterations, seed], umap=version("umap-learn"))
 
     def compute() -> dict[str, Any]:
         inlp = INLP(iterations, seed=seed).fit(*fitted.fitting_data(described, region))

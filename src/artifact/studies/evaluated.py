@@ -26,8 +26,8 @@ from artifact.metrics.stored import stored
 from artifact.ranking import matching, one_pass
 from artifact.ranking.candidates import Images
 
-# Random draws of the sweep over the number of distractors, for two-stage methods: each asks for scores of more pairs.
-_DRAWS_BY_DESCRIPTORS, _DRAWS_BY_LOCAL_FEATURES = 10, 3
+# Each draw of the sweep over the number of distractors asks for local features of more pairs: few, unless asked for.
+_MOST_DRAWS_BY_LOCAL_FEATURES = 3
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,7 @@ def evaluation(
     pool_size: int | None = None,
     retrieve: int = 0,
     similarity: str = "cosine",
+    draws: int = 10,
     seed: int = 0,
     device: Any = None,
 ) -> Measured:
@@ -79,6 +80,9 @@ def evaluation(
         Cut every pool to this many images, chosen by ``seed`` (paper Fig. 7: the number is held constant).
     retrieve
         Length of the retrieval lists.
+    draws
+        Random draws of the sweep over the number of distractors; a method that re-ranks by local features makes
+        three of them at most, since each takes as long as the evaluation itself.
     similarity, seed, device
         As in :func:`artifact.evaluate`.
     """
@@ -86,10 +90,10 @@ def evaluation(
     if manifest.method(method).rerank is not None:
         if similarity != "cosine":
             raise ValueError(f"similarity is {similarity!r}; the two stages of {method} compare in their own ways")
-        return _two_stage(manifest, dataset, method, names, pool_size, retrieve, seed, device)
+        return _two_stage(manifest, dataset, method, names, pool_size, retrieve, draws, seed, device)
     described = describe(manifest, dataset, method, names, device=device)
     loaded = described.dataset
-    options = {"retrieve": retrieve, "seed": seed, "similarity": similarity}
+    options = {"retrieve": retrieve, "seed": seed, "similarity": similarity, "draws": draws}
     key = store.key(
         stage="ranking", revision=one_pass.REVISION, inputs=described.key_inputs(), options=options,
         pools=names, pool_size=pool_size,
@@ -129,8 +133,8 @@ def _pool_rows(dataset: Dataset, name: str, size: int | None, seed: int) -> np.n
 
 
 def _two_stage(
-    manifest: Manifest, dataset: str, method: str, names: list[str], pool_size: int | None, retrieve: int, seed: int,
-    device: Any,
+    manifest: Manifest, dataset: str, method: str, names: list[str], pool_size: int | None, retrieve: int, most_draws: int,
+    seed: int,     device: Any,
 ) -> Measured:  # fmt: skip
     entry = manifest.method(method)
     if entry.local_features is None and entry.code_bits is None:
@@ -147,7 +151,7 @@ def _two_stage(
         "pools": names, "pool_size": pool_size,
     }  # fmt: skip
     record = {"dataset": dataset, "method": method}
-    draws = _DRAWS_BY_DESCRIPTORS if entry.local_features is None else _DRAWS_BY_LOCAL_FEATURES
+    draws = most_draws if entry.local_features is None else min(most_draws, _MOST_DRAWS_BY_LOCAL_FEATURES)
     scores = matching.cosines if entry.local_features is None else matching.LocalMatcher(device=device)
 
     @functools.cache

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from artifact.suppression.lowrank import LowRankMap, compose
 from artifact.suppression.regions import Split, Where, split
 from artifact.suppression.std import STD
 
+REVISION = 1  # raise when a study of suppression gives another number from the same fits
 QUERY, DATABASE = 0, 1  # the condition labels of the paper: query against database
 LOW_RANK = ("INLP", "LEACE")
 METHODS = (*LOW_RANK, "STD")
@@ -293,9 +295,17 @@ def _parts(prefix: str, transform: LowRankMap) -> dict[str, np.ndarray]:
     }
 
 
-def key_of(stage: str, described: Sequence[Described], settings: Sequence[Any]) -> str:
-    """Return the content key of what one stage makes of descriptors with fitted transforms."""
+def key_of(stage: str, described: Sequence[Described], settings: Sequence[Any], **versions: Any) -> str:
+    """Return the content key of what one stage makes of descriptors with fitted transforms.
+
+    It holds the revisions of ranking, fits, regions, probe and studies, and the version of scikit-learn, whose
+    classifiers decide INLP and the probe; ``versions`` are those of further libraries.
+    """
+    revisions = [one_pass.REVISION, suppression.REVISION, REVISION]
     return store.key(
-        stage=stage, revisions=[one_pass.REVISION, suppression.REVISION],
-        inputs=[one.key_inputs() for one in described], settings=list(settings),
-    )  # fmt: skip
+        stage=stage,
+        revisions=revisions,
+        versions={"scikit-learn": version("scikit-learn"), **versions},
+        inputs=[one.key_inputs() for one in described],
+        settings=list(settings),
+    )

@@ -16,7 +16,8 @@ from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.stored import stored
 from artifact.ranking.one_pass import ORIGINAL
-from artifact.studies import fitted
+from artifact.studies import fitted, reported
+from artifact.studies.common import PERCENT, is_reported, percent_interval
 from artifact.studies.fitted import key_of
 from artifact.suppression.inlp import INLP
 from artifact.suppression.lowrank import LowRankMap
@@ -155,3 +156,33 @@ def mixed_table(found: Mapping[str, MixedDatabase]) -> pd.DataFrame:
                 )
             )
     return pd.concat(frames, ignore_index=True)
+
+
+def mixed_recall(
+    manifest: Manifest, dataset: str, found: Mapping[str, MixedDatabase], figure: str, *, seed: int = 0
+) -> pd.DataFrame:
+    """Return R@1 of each method and panel with its 95 % interval, and what the paper prints in the corner of its map.
+
+    Parameters
+    ----------
+    found
+        By method, as from :func:`mixed_database` (``figure="fig02"``) or :func:`mixed_database_suppressed` (``"fig09"``).
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns ``method``, ``evaluation``, ``R``, ``low``, ``high`` (percent), ``queries``, ``reported``.
+    """
+    expected: dict[tuple[str, str], float] = {}
+    if is_reported(manifest, dataset, "robotcar"):
+        rows = reported.table(figure).itertuples(index=False, name=None)
+        panels = {"single-condition": "single", "mixed-condition": "mixed", "original": ORIGINAL, "suppressed": "INLP"}
+        expected = {(method, panels[panel]): percent for method, panel, percent in rows}
+    table = []
+    for method, one in found.items():
+        for name, result in one.evaluations.items():
+            hits = result.hits(1, distractors=False)
+            low, high = percent_interval(hits[:, None], result, seed=seed)
+            row = {"method": method, "evaluation": name, "R": PERCENT * hits.mean(), "low": low[0], "high": high[0]}
+            table.append(row | {"queries": len(hits), "reported": expected.get((method, name), np.nan)})
+    return pd.DataFrame(table)

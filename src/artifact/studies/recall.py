@@ -22,8 +22,8 @@ def recall_table(
     Returns
     -------
     Study
-        One row per dataset and method: ``dataset``, ``title``, ``method``, ``R``, ``DAR``, ``RSR`` in percent, each
-        with ``_low`` and ``_high`` (95 % block-bootstrap interval), ``queries`` (evaluated), ``hits_R`` and
+        One row per dataset and method: ``dataset``, ``title``, ``method``, ``reported_as`` (the paper's name of the dataset), ``R``, ``DAR``, ``RSR`` in percent, each
+        with ``_low`` and ``_high`` (95 % block-bootstrap interval), ``queries`` (evaluated), ``listed`` (all queries), ``hits_R`` and
         ``hits_DAR`` (numbers of queries), ``ties`` (percentage points between the two tie rules), ``origin``, and
         ``reported_R``, ``reported_DAR``, ``reported_RSR`` where the paper has them.
     """
@@ -35,9 +35,11 @@ def recall_table(
             measured = evaluated.evaluation(manifest, name, method, seed=seed)
             result = measured.evaluation
             row: dict[str, Any] = {"dataset": name, "title": entry.title, "method": method}
+            row["reported_as"] = entry.reported_as
             for metric, interval in intervals(result, k, seed=seed).items():
                 row |= _percentages(metric, interval)
             row["queries"] = result.n_queries
+            row["listed"] = result.n_queries + result.excluded_queries
             row["hits_R"] = int(result.hits(k, distractors=False).sum())
             row["hits_DAR"] = int(result.hits(k, distractors=True).sum())
             row["ties"] = PERCENT * (result.dar(k) - result.dar(k, ties="against"))

@@ -1,6 +1,6 @@
-"""What the paper reports: every number of its tables and plotted curves, and the verdict against a measurement.
+"""What the paper reports: every number of its tables and plotted curves.
 
-The numbers were transcribed once, as printed, into tidy CSV files in ``reported/``; the tests hold them against
+The numbers were transcribed once, as printed, into tidy CSV files in ``paper/``; the tests hold them against
 each other (RSR = DAR / R, means, ranks, curve ends equal to table cells, percentages that are whole numbers of
 queries). Nothing here is ever mixed with a measurement without a label.
 """
@@ -8,9 +8,11 @@ queries). Nothing here is ever mixed with a measurement without a label.
 from __future__ import annotations
 
 from importlib.resources import files
-from typing import Literal
 
 import pandas as pd
+
+from artifact.manifest import Manifest
+from artifact.manifest.entries import ManifestError, quoted
 
 TABLES = {
     "tab01": "tab01_datasets.csv",
@@ -39,11 +41,6 @@ EVALUATED_QUERIES = {
     "st_lucia": 1619,
     "svox": 872,
 }
-
-Verdict = Literal["equal", "close", "different", "not comparable"]
-
-CLOSE_PP = 1.0
-"""Largest difference in percentage points that still counts as close: the paper's own margin in Tables IV and V."""
 
 
 def table(name: str) -> pd.DataFrame:
@@ -81,37 +78,39 @@ def dataset_titles() -> dict[str, str]:
 
 
 def recall_table() -> pd.DataFrame:
-    """Return Table III as one row per dataset and method with ``R@1``, ``DAR@1``, ``RSR@1`` in percent."""
+    """Return Table III as one row per dataset and method with ``R@1``, ``DAR@1``, ``RSR@1`` in percent.
+
+    R@1 and DAR@1 have the two decimals of the scatter plot (Fig. 5); the means have those of the table.
+    """
     wide = table("tab03").pivot(index=["dataset", "method"], columns="metric", values="percent")
+    exact = table("fig05").set_index(["dataset", "method"])
+    wide.loc[exact.index, ["R@1", "DAR@1"]] = exact[["recall_percent", "dar_percent"]].to_numpy()
     return wide[["R@1", "DAR@1", "RSR@1"]].reset_index().rename_axis(columns=None)
 
 
-def verdict(measured_percent: float, reported_percent: float | None, n_queries: int | None = None) -> Verdict:
-    """Compare a measured percentage with the reported one.
+def require(manifest: Manifest, profile: str) -> None:
+    """Check that every number exists that a profile's results will be compared with.
 
-    Parameters
-    ----------
-    measured_percent, reported_percent
-        In percent; ``None`` or NaN where the paper has no number for this dataset and method.
-    n_queries
-        Number of evaluated queries: two percentages are equal when they round to the same number of queries.
-
-    Returns
-    -------
-    str
-        ``"equal"`` (the same number of queries, or the same to two decimals), ``"close"`` (within 1 percentage
-        point), ``"different"`` or ``"not comparable"``.
-
-    Examples
-    --------
-    >>> verdict(95.924, 95.92, n_queries=5987), verdict(95.1, 95.92), verdict(80.0, 95.92), verdict(80.0, None)
-    ('equal', 'close', 'different', 'not comparable')
+    Raises
+    ------
+    ManifestError
+        If a dataset names one that the paper does not have, or the paper has no number for a method of the profile.
     """
-    if reported_percent is None or pd.isna(reported_percent) or pd.isna(measured_percent):
-        return "not comparable"
-    # Half a unit of the paper's last decimal, or of one query, whichever is coarser.
-    resolution = max(0.005, 50 / n_queries if n_queries else 0.0)
-    difference = abs(measured_percent - reported_percent)
-    if difference <= resolution:
-        return "equal"
-    return "close" if difference <= CLOSE_PP else "different"
+    entry, known = (
+        manifest.profile(profile),
+        set(table("fig05")[["dataset", "method"]].itertuples(index=False, name=None)),
+    )
+    for name in entry.datasets:
+        standing_for = manifest.dataset(name).reported_as
+        if standing_for is None:
+            continue
+        if standing_for not in EVALUATED_QUERIES:
+            raise ManifestError(
+                f"{manifest.path}: datasets.{name}.reported_as is {standing_for!r}; allowed: {quoted(EVALUATED_QUERIES)}"
+            )
+        for method in entry.methods:
+            if manifest.method(method).kind == "paper" and (standing_for, method) not in known:
+                raise ManifestError(
+                    f"{manifest.path}: the paper reports nothing for the method {method!r} on {standing_for}; a method of "
+                    f"kind 'paper' is one of {quoted(method_titles())}"
+                )

@@ -11,7 +11,7 @@ from artifact.manifest import Manifest
 from artifact.metrics.evaluation import Evaluation
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies import fitted
-from artifact.studies.common import PERCENT, Study, origin
+from artifact.studies.common import PERCENT, Study, origin, single_stage
 from artifact.studies.evaluated import Measured
 from artifact.studies.fitted import METHODS
 
@@ -32,19 +32,20 @@ def suppression_table(
     -------
     Study
         One row per dataset, method and suppression method: ``dataset``, ``title``, ``method``, ``suppression``
-        (``original`` among them), ``R``, ``DAR``, ``probe`` in percent, their changes ``change_R``, ``change_DAR``,
+        (``original`` among them), ``reported_as``, ``R``, ``DAR``, ``probe`` in percent, their changes ``change_R``, ``change_DAR``,
         ``change_probe`` in percentage points, ``queries``, ``fitted_queries``, ``fitted_database``, ``origin``.
     """
     rows, inputs = [], []
     for name in names:
-        title = manifest.dataset(name).title
-        for method in methods:
+        title, reported_as = manifest.dataset(name).title, manifest.dataset(name).reported_as
+        for method in single_stage(manifest, methods):
             result = fitted.compare(manifest, name, method, fraction=fraction, iterations=iterations, seed=seed)
             before = result.evaluations[ORIGINAL]
             for suppressor, after in result.evaluations.items():
                 rows.append(
                     {
                         "dataset": name,
+                        "reported_as": reported_as,
                         "title": title,
                         "method": method,
                         "suppression": suppressor,
@@ -117,8 +118,8 @@ def fitting_fraction(
     positive = sorted(fraction for fraction in fractions if fraction > 0)
     rows, inputs = [], []
     for name in names:
-        title = manifest.dataset(name).title
-        for method in methods:
+        title, reported_as = manifest.dataset(name).title, manifest.dataset(name).reported_as
+        for method in single_stage(manifest, methods):
             found, described = fitted.by_fraction(manifest, name, method, positive, iterations=iterations, seed=seed)
             before = found[ORIGINAL, 0.0]
             for suppressor in METHODS:
@@ -129,6 +130,7 @@ def fitting_fraction(
                     rows.append(
                         {
                             "dataset": name,
+                            "reported_as": reported_as,
                             "title": title,
                             "method": method,
                             "suppression": suppressor,

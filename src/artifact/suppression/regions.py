@@ -72,6 +72,8 @@ def fit_region(positions: np.ndarray, fraction: float, where: Where = "centre") 
     if not 0 <= fraction <= 1:
         raise ValueError(f"fraction is {fraction!r}; allowed: numbers from 0 to 1")
     n = len(positions)
+    if n == 0:
+        return np.zeros(0, np.int64)
     # ceil of a rounded product: 0.1 * 30 must take 3 and not 4
     count = math.ceil(round(fraction * n, 9))
     if where == "edge":
@@ -112,7 +114,7 @@ def split(
     threshold
         Positive threshold in the same unit.
     fraction
-        Share of the queries in the fitting region.
+        Share of the evaluated queries, those with a positive, in the fitting region.
     evaluation_fraction
         Keep the evaluation region fixed: the share of the queries that lies outermost (paper Fig. 10 uses 0.5, and
         varies ``fraction`` up to it). Default: all that is not in the fitting region.
@@ -128,8 +130,9 @@ def split(
     if fraction > reserved + 1e-12:
         raise ValueError(f"fraction {fraction:g} and evaluation_fraction {evaluation_fraction:g} exceed 1 together")
     everything = np.arange(len(query_positions))
-    fit_queries = fit_region(query_positions, fraction, where)
-    excluded = fit_region(query_positions, reserved, where)
+    evaluated = np.flatnonzero(np.diff(positives_of(query_positions, database_positions, threshold)[0]))
+    fit_queries = evaluated[fit_region(query_positions[evaluated], fraction, where)]
+    excluded = evaluated[fit_region(query_positions[evaluated], reserved, where)]
     return Split(
         fit_queries=fit_queries,
         fit_database=_colocated(query_positions[fit_queries], database_positions, threshold),

@@ -7,7 +7,6 @@ tensors, date. Any later difference is an error. A file is accepted only if its 
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -29,7 +28,6 @@ _REMEDY = (
     "run `make data PROFILE=paper` (or `python -m artifact data --profile paper`): it shows licences and terms, "
     "downloads what it can, and checks files put there by hand"
 )
-_BY_HAND = "put there by hand"
 _WORST_LAST: tuple[Status, ...] = ("present", "not checked yet", "missing", "changed")
 
 
@@ -64,13 +62,7 @@ def is_required(entry: MethodEntry) -> bool:
 
 
 def state(name: str, entry: MethodEntry) -> State:
-    """Return where a method's weights stand; reads no file that is as its lock file left it.
-
-    Parameters
-    ----------
-    name, entry
-        The method of the manifest.
-    """
+    """Return where the weights of a method of the manifest stand; reads no file that is as its lock file left it."""
     if entry.weights is None:
         if not is_required(entry):
             return State("not needed", f"{name}: no files of weights needed", "")
@@ -85,7 +77,7 @@ def state(name: str, entry: MethodEntry) -> State:
 def _state_of_file(name: str, entry: WeightsEntry, file: WeightsFile) -> tuple[Status, str]:
     path = path_of(entry, file)
     if not path.exists():
-        return "missing", how_to_get(name, entry, file)
+        return "missing", _how_to_get(name, entry, file)
     if not lock.path_of(path).exists():
         return "not checked yet", f"{name}: {path} is there and will be checked when it is first used"
     try:
@@ -95,13 +87,7 @@ def _state_of_file(name: str, entry: WeightsEntry, file: WeightsFile) -> tuple[S
 
 
 def require(entries: Mapping[str, MethodEntry]) -> None:
-    """Raise one :class:`WeightsError` that lists all that is missing or changed, before hours of work begin.
-
-    Parameters
-    ----------
-    entries
-        Methods of the manifest by name.
-    """
+    """Raise one :class:`WeightsError` with all that these methods miss or find changed, before hours of work begin."""
     states = [state(name, entry) for name, entry in entries.items()]
     faults = [found.detail for found in states if found.status in ("missing", "changed")]
     if any(found.status == "missing" for found in states):
@@ -119,13 +105,12 @@ def digests(entry: WeightsEntry) -> list[str | None]:
     Raises
     ------
     WeightsError
-        If a file is not what its lock file says.
+        If a file is not what its lock file says, or cannot be read.
     """
-    return [_digest(entry, file) for file in entry.files]
+    return [_digest(file, path_of(entry, file)) for file in entry.files]
 
 
-def _digest(entry: WeightsEntry, file: WeightsFile) -> str | None:
-    path = path_of(entry, file)
+def _digest(file: WeightsFile, path: Path) -> str | None:
     if lock.path_of(path).exists():
         return lock.compare(file, path) if path.exists() else lock.read(path)["sha256"]
     return lock.sha256(path) if path.exists() else file.sha256
@@ -133,13 +118,6 @@ def _digest(entry: WeightsEntry, file: WeightsFile) -> str | None:
 
 def verified(name: str, entry: WeightsEntry, file: WeightsFile, check: Check) -> Path:
     """Return the path of a file of weights that is what it should be; the first time, examine it and lock it.
-
-    Parameters
-    ----------
-    name, entry, file
-        The method's name, its weights, and one of their files.
-    check
-        Says whether a file's content fits the model.
 
     Raises
     ------
@@ -149,34 +127,20 @@ def verified(name: str, entry: WeightsEntry, file: WeightsFile, check: Check) ->
     """
     path = path_of(entry, file)
     if not path.exists():
-        raise WeightsError(how_to_get(name, entry, file))
+        raise WeightsError(_how_to_get(name, entry, file))
     if lock.path_of(path).exists():
         lock.compare(file, path)
-    else:
-        try:
-            tensors = _examine(file, path, path, check)
-        except WeightsError as error:
-            raise WeightsError(f"{name}: {path} is refused\n  {error}\n{_by_hand(entry, file)}") from None
-        lock.write(path, url=_BY_HAND, method=name, tensors=tensors)
+        return path
+    try:
+        tensors = _examine(file, path, path, check)
+    except WeightsError as error:
+        raise WeightsError(f"{name}: {path} is refused\n  {error}\n{_by_hand(entry, file)}") from None
+    lock.write(path, url="put there by hand", method=name, tensors=tensors)
     return path
 
 
-# -- getting them ----------------------------------------------------------------------------------------------------
-
-
-def how_to_get(name: str, entry: WeightsEntry, file: WeightsFile) -> str:
-    """Return, in words, which file of a method is missing and how to get it."""
-    lines = [f"{name}: the weights {path_of(entry, file)} are missing ({_size(file)})"]
-    lines += [f"  {'from' if url == file.urls[0] else 'or'} {url}" for url in file.urls]
-    lines += [f"  {entry.obtain.strip()}"] if entry.obtain else []
-    return "\n".join(lines)
-
-
 def announcement(entries: Mapping[str, MethodEntry]) -> str:
-    """Return licence, terms, size and origin of all files that are missing, to show before a download.
-
-    Empty if nothing is missing.
-    """
+    """Return licence, terms, size and origin of all missing files, to show before a download; empty if none is."""
     lines, total, folders = [], 0.0, set()
     for name, entry in entries.items():
         weights = entry.weights
@@ -196,16 +160,8 @@ def announcement(entries: Mapping[str, MethodEntry]) -> str:
 def fetch(name: str, entry: WeightsEntry, check: Check, *, progress: bool = True) -> None:
     """Make all files of a method's weights ready: download what is missing, examine and lock what is not locked yet.
 
-    Show :func:`announcement` first. An interrupted download goes on where it was.
-
-    Parameters
-    ----------
-    name, entry
-        The method's name and its weights.
-    check
-        Says whether a file's content fits the model; asked before a file gets its final name.
-    progress
-        Whether to show progress bars.
+    Show :func:`announcement` first. An interrupted download goes on where it was, and no file gets its name before
+    ``check`` has accepted it.
 
     Raises
     ------
@@ -215,48 +171,34 @@ def fetch(name: str, entry: WeightsEntry, check: Check, *, progress: bool = True
     faults = []
     for file in entry.files:
         try:
-            _make_ready(name, entry, file, check, progress=progress)
+            if not path_of(entry, file).exists():
+                _download(name, entry, file, check, progress=progress)
+            verified(name, entry, file, check)
         except WeightsError as error:
             faults.append(str(error))
     if faults:
         raise WeightsError("\n".join(faults))
 
 
-def _make_ready(name: str, entry: WeightsEntry, file: WeightsFile, check: Check, *, progress: bool) -> None:
-    path = path_of(entry, file)
-    if path.exists():
-        verified(name, entry, file, check)
-        return
+def _download(name: str, entry: WeightsEntry, file: WeightsFile, check: Check, *, progress: bool) -> None:
+    path, accepted = path_of(entry, file), []
+
+    def accept(partial: Path) -> None:
+        try:
+            accepted.append(_examine(file, partial, path, check))
+        except WeightsError as error:
+            raise download.DownloadError(str(error)) from None
+
     with lock.writing(path), store.lock(path):
         if path.exists():  # another process was faster
             return
-        tried = []
-        for url in file.urls:
-            partial = path.with_name(f".{file.file}.{hashlib.sha256(url.encode()).hexdigest()[:8]}.partial")
-            try:
-                download.fetch(url, partial, label=file.file, progress=progress)
-                tensors = _examine(file, partial, path, check)
-            except download.DownloadError as error:
-                tried.append(f"  {url}\n    {error}")
-            except WeightsError as error:  # whole, but not the file that it should be: going on from it makes no sense
-                download.forget(partial)
-                tried.append(f"  {url}\n    {error}")
-            else:
-                partial.replace(path)
-                lock.write(path, url=url, method=name, tensors=tensors)
-                for rest in path.parent.glob(f".{file.file}.*.partial*"):
-                    rest.unlink()
-                return
-    raise WeightsError("\n".join([f"{name}: {file.file} could not be downloaded", *tried, _by_hand(entry, file)]))
-
-
-def _by_hand(entry: WeightsEntry, file: WeightsFile) -> str:
-    lines = []
-    if file.urls:
-        lines.append(f"  by hand: open {file.urls[0]} in a browser and download the file ({_size(file)})")
-    lines += [f"  {entry.obtain.strip()}"] if entry.obtain else []
-    lines.append(f"  save it as {path_of(entry, file)} and run the same command again, which checks it")
-    return "\n".join(lines)
+        try:
+            url = download.retrieve(file.urls, path, sha256=file.sha256, accept=accept, progress=progress)
+        except download.DownloadError as error:
+            reasons = str(error) if file.urls else "  no address is known"
+            lines = [f"{name}: {file.file} could not be downloaded", reasons, _by_hand(entry, file)]
+            raise WeightsError("\n".join(lines)) from None
+        lock.write(path, url=url, method=name, tensors=accepted[-1])
 
 
 def _examine(file: WeightsFile, found: Path, path: Path, check: Check) -> str:
@@ -266,6 +208,22 @@ def _examine(file: WeightsFile, found: Path, path: Path, check: Check) -> str:
     tensors = check(file, found)
     lock.refuse_twin(path, digest, tensors)
     return tensors
+
+
+def _how_to_get(name: str, entry: WeightsEntry, file: WeightsFile) -> str:
+    origins = [f"  {'or' if number else 'from'} {url}" for number, url in enumerate(file.urls)]
+    missing = f"{name}: the weights {path_of(entry, file)} are missing ({_size(file)})"
+    return "\n".join([missing, *origins, *_obtain(entry)])
+
+
+def _by_hand(entry: WeightsEntry, file: WeightsFile) -> str:
+    browser = [f"  by hand: open {url} in a browser and download the file ({_size(file)})" for url in file.urls[:1]]
+    save = f"  save it as {path_of(entry, file)} and run the same command again, which checks it"
+    return "\n".join([*browser, *_obtain(entry), save])
+
+
+def _obtain(entry: WeightsEntry) -> list[str]:
+    return [f"  {entry.obtain.strip()}"] if entry.obtain else []
 
 
 def _size(file: WeightsFile, path: Path | None = None) -> str:

@@ -7,24 +7,24 @@ as safetensors; a file that would need anything else is refused with the names t
 from __future__ import annotations
 
 import hashlib
+import math
 import pickle
 import re
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
 from safetensors.torch import load_file
 
 from artifact.methods.weights.download import looks_like_page
 
 _LISTED = 20
-_CONTAINERS = ("state_dict", "model_state_dict")
+_CONTAINERS = {"state_dict": "under the key 'state_dict'", "model_state_dict": "under the key 'model_state_dict'"}
+_PLACES = {**_CONTAINERS, "flat": "at the top level"}
 _PREFIX = "module."  # put before every name by torch.nn.DataParallel
-_INTACT = "the file is damaged, incomplete or no checkpoint"
-_REFUSED = "is refused, because reading it could run code"
+_REFUSED = "is refused, because reading it could run code: it asks for"
 
 # What trainers store beside the weights (settings, paths, scores). Nothing of these packages is imported: an inert
 # object takes the place of each, and none is used.
@@ -58,65 +58,56 @@ def read(path: Path, *, container: str | None = None, tensor: str | None = None)
     """
     content = _content(path)
     if tensor is not None:
-        if not _is_plain(content):
-            raise CheckpointError(f"holds {_kind(content)}; a single tensor is expected")
-        return {tensor: content.detach()}
+        if not isinstance(content, torch.Tensor):
+            raise CheckpointError(f"holds an object of type {type(content).__name__}; a single tensor is expected")
+        return _tensors({tensor: content}, path)
     if not isinstance(content, Mapping):
-        raise CheckpointError(f"holds {_kind(content)}; a mapping from names to tensors is expected")
+        kind = type(content).__name__
+        raise CheckpointError(f"holds an object of type {kind}; a mapping from names to tensors is expected")
     found = next((key for key in _CONTAINERS if isinstance(content.get(key), Mapping)), "flat")
-    if container is not None and found != container:
-        places = {key: f"under the key {key!r}" for key in _CONTAINERS} | {"flat": "at the top level"}
-        raise CheckpointError(f"has its weights {places[found]}; the released file has them {places[container]}")
-    return _named(content if found == "flat" else content[found])
+    if container not in (None, found):
+        raise CheckpointError(f"has its weights {_PLACES[found]}; the released file has them {_PLACES[container]}")
+    tensors = _tensors(content if found == "flat" else content[found], path)
+    strip = len(_PREFIX) if all(name.startswith(_PREFIX) for name in tensors) else 0
+    return {name[strip:]: value for name, value in tensors.items()}
 
 
-def _named(state: Mapping[Any, Any]) -> dict[str, torch.Tensor]:
-    odd = [str(key) for key, value in state.items() if not (isinstance(key, str) and _is_plain(value))]
+def _tensors(state: Mapping[Any, Any], path: Path) -> dict[str, torch.Tensor]:
+    """Return the entries of a mapping, detached, if all are plain tensors that the file has room for."""
+    odd = [str(name) for name, value in state.items() if not (isinstance(name, str) and _is_plain(value))]
     if odd or not state:
         raise CheckpointError(f"holds no weights, but entries such as {_listed(odd)}" if odd else "holds no weights")
-    strip = len(_PREFIX) if all(key.startswith(_PREFIX) for key in state) else 0
-    return {key[strip:]: value.detach() for key, value in state.items()}
+    room = path.stat().st_size
+    for name, value in state.items():  # a stride of 0 makes any size of one number
+        if (claimed := math.prod(value.shape) * value.element_size()) > room:
+            raise CheckpointError(f"is refused: {name} claims {claimed:,} bytes in a file of {room:,}")
+    return {name: value.detach() for name, value in state.items()}
 
 
 def _is_plain(value: Any) -> bool:
-    return (
-        isinstance(value, torch.Tensor)
-        and value.device.type == "cpu"
-        and value.layout is torch.strided
-        and not value.is_quantized
-    )
-
-
-def _kind(content: Any) -> str:
-    return f"an object of type {type(content).__name__}"
-
-
-# -- reading without running -----------------------------------------------------------------------------------------
+    if not isinstance(value, torch.Tensor) or value.is_nested or value.is_quantized:
+        return False
+    return value.device.type == "cpu" and value.layout is torch.strided
 
 
 def _content(path: Path) -> Any:
-    with path.open("rb") as stream:
-        head = stream.read(512)
-    if looks_like_page(head):
-        raise CheckpointError("is a web page, saved in place of the file")
     try:
-        if _is_safetensors(head, path.stat().st_size):
+        with path.open("rb") as stream:
+            head = stream.read(512)
+        if looks_like_page(head):
+            raise CheckpointError("is a web page, saved in place of the file")
+        if head[8:9] == b"{" and int.from_bytes(head[:8], "little") <= path.stat().st_size - 8:
             return load_file(path)
         with torch.serialization.safe_globals([(_stand_in(name), name) for name in _foreign_names(path)]):
             return torch.load(path, map_location="cpu", weights_only=True)
     except (CheckpointError, MemoryError):
         raise
-    except SafetensorError as error:
-        raise CheckpointError(f"cannot be read ({error}): {_INTACT}") from None
-    except Exception as error:  # a hostile file can make the reader fail in any way
+    except Exception as error:  # a hostile file can make the readers fail in any way
         asked = re.search(r"GLOBAL (\S+)", str(error)) if isinstance(error, pickle.UnpicklingError) else None
         if asked:
-            raise CheckpointError(f"{_REFUSED}: it asks for {asked[1]}") from None
-        raise CheckpointError(f"cannot be read ({type(error).__name__}: {_first_line(error)}): {_INTACT}") from None
-
-
-def _is_safetensors(head: bytes, size: int) -> bool:
-    return head[8:9] == b"{" and int.from_bytes(head[:8], "little") <= size - 8
+            raise CheckpointError(f"{_REFUSED} {asked[1]}") from None
+        reason = f"{type(error).__name__}: {str(error).partition(chr(10))[0].strip()}"
+        raise CheckpointError(f"cannot be read ({reason}): the file is damaged, incomplete or no checkpoint") from None
 
 
 def _foreign_names(path: Path) -> list[str]:
@@ -127,15 +118,12 @@ def _foreign_names(path: Path) -> list[str]:
         return []
     refused = [name for name in names if name.split(".", 1)[0] not in _BOOKKEEPING]
     if refused:
-        raise CheckpointError(f"{_REFUSED}: it asks for {_listed(refused)}")
+        raise CheckpointError(f"{_REFUSED} {_listed(refused)}")
     return names
 
 
 class _Inert:
     """Takes the place of an object that is not needed; whatever it is given, it does nothing."""
-
-    def __init__(self, *_: Any) -> None:
-        pass
 
     def __new__(cls, *_: Any) -> _Inert:
         return super().__new__(cls)
@@ -146,9 +134,6 @@ class _Inert:
 
 def _stand_in(name: str) -> type:
     return OrderedDict if name.endswith(("Dict", "DictConfig")) else _Inert  # the reader fills mappings only
-
-
-# -- fitting a model -------------------------------------------------------------------------------------------------
 
 
 def faults(state: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor]) -> list[str]:
@@ -165,13 +150,16 @@ def faults(state: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tenso
     >>> faults({"a": torch.zeros(2), "c": torch.zeros(1)}, {"a": torch.zeros(3), "b": torch.zeros(1)})
     ['1 missing: b', '1 unexpected: c', '1 of another shape: a (2) for (3)']
     """
-    missing = [key for key in expected if key not in state]
-    unexpected = [key for key in state if key not in expected]
-    both = [(key, state[key], tensor) for key, tensor in expected.items() if key in state]
-    shapes = [f"{k} {_shape(a)} for {_shape(b)}" for k, a, b in both if a.shape != b.shape]
-    kinds = [f"{k} {a.dtype} for {b.dtype}" for k, a, b in both if a.is_floating_point() != b.is_floating_point()]
-    named = {"missing": missing, "unexpected": unexpected, "of another shape": shapes, "of another type": kinds}
-    return [f"{len(items)} {what}: {_listed(items)}" for what, items in named.items() if items]
+    both = [(name, state[name], tensor) for name, tensor in expected.items() if name in state]
+    differing = {
+        "missing": [name for name in expected if name not in state],
+        "unexpected": [name for name in state if name not in expected],
+        "of another shape": [f"{name} {_shape(a)} for {_shape(b)}" for name, a, b in both if a.shape != b.shape],
+        "of another type": [
+            f"{name} {a.dtype} for {b.dtype}" for name, a, b in both if a.is_floating_point() != b.is_floating_point()
+        ],
+    }
+    return [f"{len(items)} {what}: {_listed(items)}" for what, items in differing.items() if items]
 
 
 def load_into(model: torch.nn.Module, state: Mapping[str, torch.Tensor]) -> torch.nn.Module:
@@ -190,33 +178,26 @@ def load_into(model: torch.nn.Module, state: Mapping[str, torch.Tensor]) -> torc
         If the weights do not fit; the message has the lines of :func:`faults`.
     """
     expected = model.state_dict()
-    found = faults(state, expected)
-    if found:
-        raise CheckpointError("does not fit the model:\n    " + "\n    ".join(found))
-    assign = any(tensor.is_meta for tensor in expected.values())
-    fitted = {key: state[key].to(expected[key].dtype).contiguous() for key in expected}
-    model.load_state_dict(fitted, strict=True, assign=assign)
+    if found := faults(state, expected):
+        raise CheckpointError("\n    ".join(["does not fit the model:", *found]))
+    fitted = {name: state[name].to(tensor.dtype).contiguous() for name, tensor in expected.items()}
+    model.load_state_dict(fitted, strict=True, assign=any(tensor.is_meta for tensor in expected.values()))
     return model.eval().requires_grad_(False)
 
 
 def digest(state: Mapping[str, torch.Tensor]) -> str:
     """Return the SHA-256 of names, shapes, types and values: equal for equal weights, however they are packed."""
     total = hashlib.sha256()
-    for key in sorted(state):
-        tensor = state[key].contiguous()
-        total.update(f"{key} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
-        total.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+    for name, value in sorted(state.items()):
+        total.update(f"{name} {value.dtype} {tuple(value.shape)}\n".encode())
+        total.update(value.contiguous().reshape(-1).view(torch.uint8).numpy().data)
     return total.hexdigest()
 
 
-def _listed(names: list[str]) -> str:
+def _listed(names: Sequence[str]) -> str:
     more = f", and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return ", ".join(names[:_LISTED]) + more
 
 
 def _shape(tensor: torch.Tensor) -> str:
     return f"({', '.join(map(str, tensor.shape))})"
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).split("\n", 1)[0].strip()

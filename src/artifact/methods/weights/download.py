@@ -1,15 +1,18 @@
-"""One file over HTTP, resumable at any moment.
+"""A file over HTTP: from the first of its mirrors that has it, resumable at any moment, whole and checked or not at all.
 
-What has arrived lies in a partial file; a journal beside it records the address, and how the server names this version
-of the file (``ETag`` or ``Last-Modified``). A later call asks for the rest of the same version; if the server has
-another one by then, the file is fetched anew. Nothing here judges the content: see :mod:`artifact.methods.weights`.
+`pooch` gives a file its temporary and its final name and compares its SHA-256. The transfer is done here, because that
+of pooch starts anew after every interruption: what has arrived lies in a partial file, and a journal beside it records
+the address and how the server names this version of the file (``ETag`` or ``Last-Modified``). A later call asks for the
+rest of the same version; if the server has another one by then, the file is fetched anew.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import http.client
+import importlib.metadata
 import os
 import re
 import shutil
@@ -18,8 +21,7 @@ import time
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Iterator
-from importlib.metadata import version
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,15 +29,9 @@ from tqdm import tqdm
 
 from artifact import store
 
-TIMEOUT = 30.0
-"""Seconds without an answer after which an attempt is given up."""
-
-PAUSE = 2.0
-"""Seconds before the second attempt; each further pause is twice as long."""
-
-ATTEMPTS = 5
-"""Attempts in a row that bring nothing new, after which a download is given up."""
-
+TIMEOUT = 30.0  # seconds without an answer after which an attempt is given up
+PAUSE = 2.0  # seconds before the second attempt; each further pause is twice as long
+ATTEMPTS = 5  # in a row that bring nothing new, after which a download is given up
 _CHUNK = 1 << 18
 _HEAD = 512
 _PASSING = {408, 425, 429, 500, 502, 503, 504}
@@ -46,22 +42,11 @@ _DRIVE_FILE = "https://drive.usercontent.google.com/download?id={}&export=downlo
 
 
 class DownloadError(RuntimeError):
-    """A file that could not be fetched; what has arrived is kept, and the next call goes on from there."""
+    """A file that could not be fetched, or is refused."""
 
 
 class _Interrupted(Exception):  # noqa: N818 - never leaves this module
     """An attempt that ended early; the next one may succeed."""
-
-
-def is_drive(url: str) -> bool:
-    """Whether an address is the page of a file on Google Drive, which only a browser can be sure to get.
-
-    Examples
-    --------
-    >>> is_drive("https://drive.google.com/file/d/1B06ysb/view"), is_drive("https://example.org/a.pth")
-    (True, False)
-    """
-    return _DRIVE_PAGE.match(url) is not None
 
 
 def looks_like_page(head: bytes) -> bool:
@@ -75,30 +60,96 @@ def looks_like_page(head: bytes) -> bool:
     return head.lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith((b"<!doctype html", b"<html", b"<?xml"))
 
 
-def fetch(url: str, partial: Path, *, label: str, progress: bool = True) -> None:
-    """Bring the file at an address into ``partial``, whole, going on from what is there.
+def retrieve(
+    urls: Sequence[str],
+    target: Path,
+    *,
+    sha256: str | None = None,
+    size: int | None = None,
+    accept: Callable[[Path], None] | None = None,
+    progress: bool = True,
+) -> str:
+    """Bring a file from the first of its addresses that gives the right one.
 
     Parameters
     ----------
-    url
-        ``http://`` or ``https://``; the page of a Google Drive file stands for that file.
-    partial
-        The partial file; ``partial`` with ``.json`` added is its journal. Both stay until :func:`forget`.
-    label
-        Title of the progress bar.
+    urls
+        ``http://`` or ``https://``, tried in order; the page of a Google Drive file stands for that file.
+    target
+        Where the file belongs; it gets this name when it is whole and accepted.
+    sha256, size
+        What is known of the file. A target that is there already and has this SHA-256 is left as it is.
+    accept
+        Asked before the file gets its name; raises :class:`DownloadError` with the reason if it is not the right one.
     progress
-        Whether to show a progress bar, where the output is a terminal.
+        Whether to show progress bars, where the output is a terminal.
+
+    Returns
+    -------
+    str
+        The address that gave the file.
+
+    Raises
+    ------
+    DownloadError
+        If no address gives the file; the message has a line for each and its reason. What arrived is kept for the next
+        call, but for a file that was refused.
+    """
+    import pooch  # not with the module: in a notebook without widgets, its import warns
+
+    if target.exists() and sha256 not in (None, store.digest_of_file(target)):
+        raise DownloadError(f"{target} is there, but its SHA-256 is not {sha256}; move it away and run again")
+
+    def bring(url: str, output_file: str, _: pooch.Pooch) -> None:
+        partial = _partial(url, target)
+        fetch(url, partial, label=target.name, progress=progress)
+        try:
+            if size not in (None, _size(partial)):
+                raise DownloadError(f"not {target.name}: bytes {_size(partial)}, the manifest says {size}")
+            if accept is not None:
+                accept(partial)
+        except DownloadError:  # whole, but not the right file: going on from it makes no sense
+            forget(partial)
+            raise
+        partial.replace(output_file)
+        forget(partial)
+
+    pooch.get_logger().setLevel("WARNING")
+    reasons = []
+    for url in urls:
+        registry = pooch.create(target.parent, base_url="", registry={target.name: sha256}, urls={target.name: url})
+        try:
+            with _on_disk(target):
+                registry.fetch(target.name, downloader=bring)
+        except (DownloadError, ValueError) as error:  # pooch raises ValueError for another SHA-256
+            reasons.append(f"  {url}\n    {error}")
+        else:
+            for left in target.parent.glob(f".{target.name}.{'?' * 8}.partial*"):  # of mirrors that broke off
+                left.unlink()
+            return url
+    raise DownloadError("\n".join(reasons) or f"no address of {target.name} is known")
+
+
+def _partial(url: str, target: Path) -> Path:
+    return target.with_name(f".{target.name}.{hashlib.sha256(url.encode()).hexdigest()[:8]}.partial")
+
+
+def fetch(url: str, partial: Path, *, label: str, progress: bool = True) -> None:
+    """Bring the file at an address into ``partial``, whole, going on from what is there; its content is not judged.
+
+    ``partial`` with ``.json`` added is its journal; both stay until :func:`forget`. ``label`` is the title of the bar.
 
     Raises
     ------
     DownloadError
         If the server refuses, sends a web page in place of the file, keeps ending early, or the disk has no room.
     """
-    partial.parent.mkdir(parents=True, exist_ok=True)
     idle, farthest, reason = 0, _size(partial), ""
-    with tqdm(
-        unit="B", unit_scale=True, unit_divisor=1024, desc=label, leave=False, disable=None if progress else True
-    ) as bar:
+    with (
+        _on_disk(partial),
+        tqdm(unit="B", unit_scale=True, desc=label, leave=False, disable=None if progress else True) as bar,
+    ):
+        partial.parent.mkdir(parents=True, exist_ok=True)
         while idle < ATTEMPTS:
             if idle:
                 time.sleep(PAUSE * 2 ** (idle - 1))
@@ -109,77 +160,115 @@ def fetch(url: str, partial: Path, *, label: str, progress: bool = True) -> None
                 reason = str(interruption)
             idle = 0 if _size(partial) > farthest else idle + 1
             farthest = max(farthest, _size(partial))
-    kept = _size(partial) if _known(url, partial).get("version") else 0
+    kept = _size(partial) if _journal_of(url, partial) else 0
     more = f"; {kept:,} bytes are kept, run the same command again to go on" if kept else ""
     raise DownloadError(f"{reason}, in {ATTEMPTS} attempts{more}")
 
 
 def forget(partial: Path) -> None:
     """Delete a partial file and its journal."""
-    for path in (partial, _journal(partial)):
+    for path in (partial, _journal_path(partial)):
         path.unlink(missing_ok=True)
 
 
-def _journal(partial: Path) -> Path:
+def _journal_path(partial: Path) -> Path:
     return partial.with_name(f"{partial.name}.json")
+
+
+def _journal_of(url: str, partial: Path) -> dict[str, Any]:
+    """Return the journal of what has arrived from this address; empty if nothing that another call can go on from."""
+    with contextlib.suppress(store.StoreError):
+        journal = store.read_json(_journal_path(partial)) if _size(partial) else {}
+        if isinstance(journal, dict) and journal.get("url") == url and journal.get("version"):
+            return journal
+    return {}
 
 
 def _size(path: Path) -> int:
     return path.stat().st_size if path.exists() else 0
 
 
-# -- one attempt -----------------------------------------------------------------------------------------------------
-
-
 def _attempt(url: str, partial: Path, bar: tqdm) -> None:
-    known = _known(url, partial)
-    start = _size(partial) if known.get("version") else 0
-    if start and start == known["total"]:
+    journal = _journal_of(url, partial)
+    start = _size(partial) if journal else 0
+    if journal and start == journal["total"]:
         return
-    with _response(url, start, known, partial) as response:
-        start, total = _range(response, start, known, partial)
-        first = response.read(_HEAD)
-        _refuse_page(url, response, b"" if start else first)
-        _check_room(partial.parent, total, start)
-        with _on_disk(partial):
-            store.write_json(_journal(partial), {"url": url, "version": _version(response), "total": total})
+    request = _request(url, start, journal)
+    with _response(request, partial) as response:
+        version, total = response.headers.get("ETag") or response.headers.get("Last-Modified"), journal.get("total")
+        if response.status == http.client.PARTIAL_CONTENT:
+            span = re.fullmatch(r"bytes (\d+)-\d+/(\d+)", response.headers.get("Content-Range", ""))
+            if not span or (int(span[1]), int(span[2]), version) != (start, total, journal.get("version")):
+                raise _changed(partial)
+        else:
+            length = response.headers.get("Content-Length") or ""
+            start, total = 0, int(length) if length.isdecimal() else None
+        with _on_network(request):
+            chunk = response.read(_HEAD)
+        kind = response.headers.get_content_type()
+        if kind in ("text/html", "application/xhtml+xml") or (not start and looks_like_page(chunk)):
+            why = "; Google Drive does so when a file is asked for too often" if _DRIVE_PAGE.match(url) else ""
+            raise DownloadError(f"the server sent a web page in place of the file{why}")
+        needed, free = (total or 0) - start + _SPARE, shutil.disk_usage(partial.parent).free
+        if needed > free:
+            room = f"{free / 1e6:,.0f} MB free, the download needs {needed / 1e6:,.0f} MB"
+            raise DownloadError(f"{partial.parent} has {room}; free some room and run again")
+        if not start:  # a journal must never stand beside the bytes of another version
+            partial.unlink(missing_ok=True)
+        store.write_json(_journal_path(partial), {"url": url, "version": version, "total": total})
         bar.reset(total)
         bar.update(start)
-        received = start + _receive(response, first, partial, bar, append=start > 0)
-    if total is not None and received != total:
-        raise _Interrupted(f"the server ended after {received:,} of {total:,} bytes")
+        with partial.open("ab" if start else "wb", buffering=0) as stream:
+            while chunk:
+                written = stream.write(chunk) or 0
+                bar.update(written)
+                with _on_network(request):
+                    chunk = chunk[written:] or response.read1(_CHUNK)
+            os.fsync(stream.fileno())
+    if total not in (None, _size(partial)):
+        raise _Interrupted(f"the server ended after {_size(partial):,} of {total:,} bytes")
 
 
-def _known(url: str, partial: Path) -> dict[str, Any]:
-    """Return the journal of what has arrived from this address, empty if there is none."""
-    with contextlib.suppress(store.StoreError):
-        known = store.read_json(_journal(partial)) if _journal(partial).exists() else {}
-        if isinstance(known, dict) and known.get("url") == url and partial.exists():
-            return known
-    return {}
+def _request(url: str, start: int, journal: dict[str, Any]) -> urllib.request.Request:
+    drive = _DRIVE_PAGE.match(url)
+    request = urllib.request.Request(_DRIVE_FILE.format(drive[1]) if drive else url)
+    request.add_header("User-Agent", f"artifact/{importlib.metadata.version('artifact')}")
+    request.add_header("Accept-Encoding", "identity")
+    if start:
+        request.add_header("Range", f"bytes={start}-")
+        if not journal["version"].startswith("W/"):
+            request.add_header("If-Range", journal["version"])
+    return request
+
+
+def _response(request: urllib.request.Request, partial: Path) -> http.client.HTTPResponse:
+    try:
+        with _on_network(request):
+            response = urllib.request.urlopen(request, timeout=TIMEOUT)
+    except urllib.error.HTTPError as error:
+        error.close()
+        if error.code == 416 and request.has_header("Range"):  # the server's file is shorter than what we have
+            raise _changed(partial) from None
+        fault = _Interrupted if error.code in _PASSING else DownloadError
+        raise fault(f"the server answered {error.code} ({error.reason})") from None
+    if not isinstance(response, http.client.HTTPResponse):
+        raise DownloadError(f"the server leads to {response.url}; only http and https are allowed")
+    return response
+
+
+def _changed(partial: Path) -> _Interrupted:
+    forget(partial)
+    return _Interrupted("the file on the server has changed")
 
 
 @contextlib.contextmanager
-def _response(url: str, start: int, known: dict[str, Any], partial: Path) -> Iterator[http.client.HTTPResponse]:
-    drive = _DRIVE_PAGE.match(url)
-    headers = {"User-Agent": f"artifact/{version('artifact')}", "Accept-Encoding": "identity"}
-    if start:
-        headers["Range"] = f"bytes={start}-"
-        if not known["version"].startswith("W/"):
-            headers["If-Range"] = known["version"]
-    request = urllib.request.Request(_DRIVE_FILE.format(drive[1]) if drive else url, headers=headers)
+def _on_network(request: urllib.request.Request) -> Iterator[None]:
+    """Tell a fault of the connection from one of the disk: both are an ``OSError``."""
     try:
-        with urllib.request.urlopen(request, timeout=TIMEOUT) as response:
-            yield response
-    except urllib.error.HTTPError as error:
-        error.close()
-        if start and error.code == 416:  # the server's file is shorter than what we have: not the same any more
-            forget(partial)
-            raise _Interrupted("the file on the server has changed") from None
-        if error.code in _PASSING:
-            raise _Interrupted(f"the server answered {error.code} ({error.reason})") from None
-        raise DownloadError(f"the server answered {error.code} ({error.reason})") from None
-    except (urllib.error.URLError, http.client.HTTPException, OSError) as error:
+        yield
+    except urllib.error.HTTPError:
+        raise
+    except (OSError, http.client.HTTPException) as error:
         reason = getattr(error, "reason", error)
         if isinstance(reason, socket.gaierror):
             host = urllib.parse.urlsplit(request.full_url).hostname
@@ -187,66 +276,12 @@ def _response(url: str, start: int, known: dict[str, Any], partial: Path) -> Ite
         raise _Interrupted(f"the connection failed ({reason or type(error).__name__})") from None
 
 
-def _range(
-    response: http.client.HTTPResponse, start: int, known: dict[str, Any], partial: Path
-) -> tuple[int, int | None]:
-    """Return where the answer's bytes belong and how long the whole file is, if the server says so."""
-    length = response.headers.get("Content-Length")
-    if response.status != http.client.PARTIAL_CONTENT:
-        return 0, int(length) if length and length.isdecimal() else None
-    found = re.fullmatch(r"bytes (\d+)-\d+/(\d+)", response.headers.get("Content-Range", ""))
-    same = (
-        found and int(found[1]) == start and int(found[2]) == known["total"] and _version(response) == known["version"]
-    )
-    if not same:
-        forget(partial)
-        raise _Interrupted("the file on the server has changed")
-    return start, known["total"]
-
-
-def _version(response: http.client.HTTPResponse) -> str | None:
-    return response.headers.get("ETag") or response.headers.get("Last-Modified")
-
-
-def _receive(response: http.client.HTTPResponse, first: bytes, partial: Path, bar: tqdm, *, append: bool) -> int:
-    """Write an answer to the partial file; what was written stays there however this ends."""
-    with _on_disk(partial):
-        stream = partial.open("ab" if append else "wb", buffering=0)
-    received, chunk = 0, first
-    with stream:
-        while chunk:
-            with _on_disk(partial):
-                received += (written := stream.write(chunk) or 0)
-            bar.update(written)
-            chunk = chunk[written:] or response.read1(_CHUNK)
-        with _on_disk(partial):
-            os.fsync(stream.fileno())
-    return received
-
-
 @contextlib.contextmanager
-def _on_disk(partial: Path) -> Iterator[None]:
-    """Tell a fault of the disk from one of the connection: both are an ``OSError``."""
+def _on_disk(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        remedy = "free some room" if full else "make it writable"
+        remedy = "free some room" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "make it writable"
         raise DownloadError(
-            f"cannot write {partial} ({error.strerror}); {remedy} and run again: it goes on from what has arrived"
+            f"cannot write {path} ({error.strerror or error}); {remedy} and run again: it goes on from what has arrived"
         ) from None
-
-
-def _refuse_page(url: str, response: http.client.HTTPResponse, head: bytes) -> None:
-    if response.headers.get_content_type() in ("text/html", "application/xhtml+xml") or looks_like_page(head):
-        why = "; Google Drive does so when a file is asked for too often" if is_drive(url) else ""
-        raise DownloadError(f"the server sent a web page in place of the file{why}")
-
-
-def _check_room(folder: Path, total: int | None, start: int) -> None:
-    needed, free = (total or 0) - start, shutil.disk_usage(folder).free
-    if needed + _SPARE > free:
-        raise DownloadError(
-            f"{folder} has {free / 1e6:,.0f} MB free, the download needs {(needed + _SPARE) / 1e6:,.0f} MB; "
-            f"free some room and run again"
-        )

@@ -19,7 +19,6 @@ from artifact.manifest.entries import WeightsFile
 
 _ENDING = ".lock.json"
 _KEYS = ("url", "size", "sha256", "tensors", "date")
-_CHUNK = 1 << 20
 
 
 class WeightsError(RuntimeError):
@@ -32,13 +31,7 @@ def path_of(path: Path) -> Path:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Read the lock file of a file of weights.
-
-    Raises
-    ------
-    WeightsError
-        If it cannot be read as one.
-    """
+    """Return what the lock file of a file of weights records; raise :class:`WeightsError` if it is no lock file."""
     try:
         record = store.read_json(path_of(path))
         return {**record, **{key: record[key] for key in _KEYS}}
@@ -47,26 +40,11 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def write(path: Path, *, url: str, method: str, tensors: str) -> None:
-    """Record a file of weights that has just been accepted.
-
-    Parameters
-    ----------
-    path
-        The file.
-    url
-        Where it came from.
-    method
-        The method whose model it fits.
-    tensors
-        Digest of its tensors, see :func:`artifact.methods.weights.checkpoints.digest`.
-    """
-    status = path.stat()
-    record = {
-        "file": path.name, "method": method, "url": url, "size": status.st_size, "mtime_ns": status.st_mtime_ns,
-        "sha256": sha256(path), "tensors": tensors, "date": f"{datetime.now(UTC):%Y-%m-%d}",
-    }  # fmt: skip
+    """Record a file that was just accepted: where it came from, the method that it fits, the digest of its tensors."""
+    status, record = path.stat(), {"file": path.name, "method": method, "url": url, "tensors": tensors}
+    record |= {"sha256": sha256(path), "date": f"{datetime.now(UTC):%Y-%m-%d}"}
     with writing(path):
-        store.write_json(path_of(path), record)
+        store.write_json(path_of(path), record | {"size": status.st_size, "mtime_ns": status.st_mtime_ns})
 
 
 @contextlib.contextmanager
@@ -90,7 +68,7 @@ def compare(file: WeightsFile, path: Path) -> str:
         If the content differs from the record, or the record from the manifest. The message has both digests.
     """
     record, status = read(path), path.stat()
-    if file.sha256 is not None and file.sha256 != record["sha256"]:
+    if file.sha256 not in (None, record["sha256"]):
         raise WeightsError(
             f"{path}: the manifest says SHA-256 {file.sha256}, its lock file of {record['date']} says "
             f"{record['sha256']}; if the manifest is right, delete {path.name} and {path_of(path).name} and get it anew"
@@ -99,14 +77,12 @@ def compare(file: WeightsFile, path: Path) -> str:
         refuse_change(path, sha256(path))
         with contextlib.suppress(OSError):  # a folder that others own is read as it is
             store.write_json(path_of(path), {**record, "mtime_ns": status.st_mtime_ns})
-    return record["sha256"]
+    return str(record["sha256"])
 
 
 def refuse_change(path: Path, digest: str) -> None:
     """Raise :class:`WeightsError` if a file of weights was locked with another SHA-256 than ``digest``."""
-    if not path_of(path).exists():
-        return
-    record = read(path)
+    record = read(path) if path_of(path).exists() else {"sha256": digest}
     if digest != record["sha256"]:
         raise WeightsError(
             f"{path}: its SHA-256 is {digest}, but {record['sha256']} was recorded on {record['date']} "
@@ -122,10 +98,8 @@ def refuse_twin(path: Path, digest: str, tensors: str) -> None:
     """
     for lock in sorted(path.parent.glob(f"*{_ENDING}")):
         twin = lock.with_name(lock.name.removesuffix(_ENDING))
-        if twin == path or not twin.exists():
-            continue
-        record = read(twin)
-        if digest == record["sha256"] or tensors == record["tensors"]:
+        record = read(twin) if twin != path and twin.exists() else {}
+        if record and (digest == record["sha256"] or tensors == record["tensors"]):
             raise WeightsError(
                 f"{path.name} holds the same weights as {twin.name} of {record.get('method', 'another method')}, so "
                 f"one of the two is not what its name says; delete that one and its lock file (NAME{_ENDING})"
@@ -134,22 +108,24 @@ def refuse_twin(path: Path, digest: str, tensors: str) -> None:
 
 def check_against_manifest(file: WeightsFile, found: Path) -> str:
     """Return the SHA-256 of a file that agrees with all that the manifest says of it, or raise `WeightsError`."""
-    size, digest = found.stat().st_size, sha256(found)
-    compared = [
-        ("bytes", file.size, size),
-        ("SHA-256", file.sha256, digest),
-        ("git blob", file.git_blob, _git_blob(found) if file.git_blob else None),
-    ]
-    for what, expected, actual in compared:
-        if expected is not None and actual != expected:
+    digest = sha256(found)
+    for what, expected, measure in (
+        ("bytes", file.size, lambda: found.stat().st_size),
+        ("SHA-256", file.sha256, lambda: digest),
+        ("git blob", file.git_blob, lambda: _git_blob(found)),
+    ):
+        if expected is not None and (actual := measure()) != expected:
             raise WeightsError(f"not the released {file.file}: {what} {actual}, the manifest says {expected}")
     return digest
 
 
 def sha256(path: Path) -> str:
     """Return the SHA-256 of a file; a file that was not written in between is read once per process."""
-    status = path.stat()
-    return _sha256(path, status.st_size, status.st_mtime_ns)
+    try:
+        status = path.stat()
+        return _sha256(path, status.st_size, status.st_mtime_ns)
+    except OSError as error:
+        raise WeightsError(f"{path}: cannot be read ({error.strerror}); a file that you may read is needed") from None
 
 
 @lru_cache(maxsize=64)
@@ -158,8 +134,6 @@ def _sha256(path: Path, size: int, mtime_ns: int) -> str:
 
 
 def _git_blob(path: Path) -> str:
-    digest = hashlib.sha1(f"blob {path.stat().st_size}\0".encode(), usedforsecurity=False)
+    header = f"blob {path.stat().st_size}\0".encode()
     with path.open("rb") as stream:
-        while chunk := stream.read(_CHUNK):
-            digest.update(chunk)
-    return digest.hexdigest()
+        return hashlib.file_digest(stream, lambda: hashlib.sha1(header, usedforsecurity=False)).hexdigest()

@@ -1,0 +1,1 @@
+"""Tests of artifact_city, which know nothing of artifact."""
