@@ -13,15 +13,7 @@ from artifact.pages import composition, distractors, mixed_database, recall, sup
 from artifact.pages.common import Finding, markup, number
 from artifact.pages.scope import NothingToShowError, Page
 from artifact.studies.common import Study
-
-DISTANCES = (25.0, 50.0, 75.0, 100.0, 150.0, 200.0)
-"""Minimum distractor distances of Fig. 6b, in metres."""
-
-RATIOS = (0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1)
-"""Distractor-to-query ratios of Fig. 6a."""
-
-FRACTIONS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)
-"""Query fitting fractions of Fig. 10."""
+from artifact.studies.verdicts import DISTANCES, FRACTIONS, RATIOS
 
 
 @dataclass(frozen=True)

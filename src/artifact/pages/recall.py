@@ -13,9 +13,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from artifact.metrics.statistics import rank_agreement
-from artifact.pages.common import CLEARLY_PP, SIMILAR_PP, claim, interval, join, listed, marks, markup, number, table
+from artifact.pages.common import (
+    CLEARLY_PP,
+    SIMILAR_PP,
+    claim,
+    interval,
+    join,
+    listed,
+    marks,
+    markup,
+    number,
+    table,
+    verdict,
+)
 from artifact.pages.style import embed, marker_options, method_legend, percent_axis
-from artifact.studies import reported
+from artifact.studies import reported, verdicts
 from artifact.studies.common import METRICS
 from artifact.studies.recall import with_means
 
@@ -99,26 +111,23 @@ def _cell(column: _Column, index: int, classes: str) -> HTML:
 def beside_reported(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> HTML:
     """Show every measured value with its interval and, where the paper has one, the reported value and the verdict."""
     headings = {metric: f"{metric}@{k} %" for metric in METRICS}
+    judged = verdicts.of_recall(frame).set_index(["dataset", "method", "quantity"])["verdict"].to_dict()
     rows = [
         {"Dataset": row["title"], "Method": titles[row["method"]]}
-        | {heading: _beside(row, metric) for metric, heading in headings.items()}
+        | {h: _beside(row, metric, judged.get((row["title"], row["method"], h))) for metric, h in headings.items()}
         | {"Queries": row["queries"], "From": row["origin"]}
         for row in frame.to_dict("records")
     ]
     return table(rows, numeric=[*headings.values(), "Queries"])
 
 
-def _beside(row: Mapping[str, Any], metric: str) -> HTML:
+def _beside(row: Mapping[str, Any], metric: str, judged: str | None) -> HTML:
     """One cell: the measured value, its interval, and the paper's value with the verdict."""
     bounds = interval(row[f"{metric}_low"], row[f"{metric}_high"])
     cell = markup("{}<small>{}</small>", number(row[metric], digits=2), bounds)
-    expected = row[f"reported_{metric}"]
-    if pd.isna(expected):
+    if judged is None:
         return cell
-    # RSR is a ratio of two counts, so it has no resolution of one query.
-    judged = reported.verdict(row[metric], expected, None if metric == "RSR" else row["queries"])
-    beside = '{}<small>paper {} <span class="verdict {}">{}</span></small>'
-    return markup(beside, cell, number(expected), judged, judged)
+    return markup("{}<small>paper {} {}</small>", cell, number(row[f"reported_{metric}"]), verdict(judged))
 
 
 def scatter(

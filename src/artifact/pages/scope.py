@@ -88,7 +88,8 @@ class Page:
         if rendered:
             images.append(f"rendered images ({rendered[0] if len(rendered) == 1 else f'{len(rendered)} City pairs'})")
         with_what = " and ".join(what[kind] for kind in sorted(kinds))
-        return f"Measured by profile “{self.profile}” on {' and '.join(images)} with {with_what}."
+        counts = [f"{text}." for name in self.datasets for text in data.load(self.manifest, name).differences]
+        return " ".join([f"Measured by profile “{self.profile}” on {' and '.join(images)} with {with_what}.", *counts])
 
     @property
     def conditions(self) -> tuple[str, str]:
