@@ -85,3 +85,11 @@ def test_a_page_of_one_method_takes_none_that_reranks():
 def test_a_page_that_nothing_suits_says_what_it_needs():
     with pytest.raises(NothingToShowError, match="a threshold in furlongs; no dataset of profile 'demo' is one"):
         page_of("demo", dataset=None).choose(unit="furlongs")
+
+
+def test_a_page_without_datasets_still_has_parameters():
+    assert page_of("demo", datasets=None, places=5).only().parameters == {
+        "profile": "demo",
+        "datasets": (),
+        "places": 5,
+    }

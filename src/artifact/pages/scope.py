@@ -57,8 +57,10 @@ class Page:
     @property
     def parameters(self) -> dict[str, Any]:
         """All parameters of the notebook, with names in place of ``None`` once they are settled."""
-        settled = {name: getattr(self, name) for name in ("dataset", "datasets", "method", "methods")}
-        return {"profile": self.profile, **{name: settled.get(name, value) for name, value in self.asked.items()}}
+        settled = ("dataset", "datasets", "method", "methods")
+        return {"profile": self.profile} | {
+            name: getattr(self, name) if name in settled else value for name, value in self.asked.items()
+        }
 
     @property
     def method_titles(self) -> dict[str, str]:
