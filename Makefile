@@ -52,8 +52,10 @@ plan: $(VENV)/.ready ## say what a whole run of a profile takes on this machine:
 status: $(VENV)/.ready ## show what is ready and what is missing
 	@$(RUN) status --profile $(PROFILE)
 
-lint: $(VENV)/.ready ## check style and format
+lint: $(VENV)/.ready ## check style, format, types, dead code and the order of imports
 	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check .
+	@$(VENV)/bin/mypy && $(VENV)/bin/vulture
+	@$(VENV)/bin/python -m pytest -q tests/test_architecture.py
 
 # torch, and what only its CUDA build needs, stay out: CPU and CUDA builds have different files.
 UNLOCKED := torch triton cuda-bindings cuda-pathfinder cuda-toolkit nvidia-cublas nvidia-cuda-cupti nvidia-cuda-nvrtc \

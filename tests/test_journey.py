@@ -13,6 +13,8 @@ import pytest
 import yaml
 from conftest import DRIVE, artifact, tiny_manifest, write_images, write_manifest
 
+from artifact.book import parameters
+
 
 def executed(project):
     return {path.stem: nbformat.read(path, as_version=4) for path in (project / "book" / "executed").glob("*.ipynb")}
@@ -41,6 +43,15 @@ def test_executed_notebooks_have_outputs_no_warnings_and_no_paths(tiny):
         assert outputs, name
         assert not [o.text for o in outputs if o.output_type == "stream"], name
         assert str(project) not in nbformat.writes(notebook), name
+
+
+def test_every_parameter_is_in_the_provenance_of_its_page(tiny):
+    project, _ = tiny
+    for name, notebook in executed(project).items():
+        names = list(parameters.read(project / "notebooks" / f"{name}.py"))
+        boxes = re.findall(r'<details class=\\"provenance\\">.*?</details>', nbformat.writes(notebook))
+        assert len(boxes) == bool(names), name
+        assert re.findall(r"<code>(\w+) = ", "".join(boxes)) == names, name
 
 
 def test_pages_show_what_the_library_measures(tiny):

@@ -1,5 +1,7 @@
 """Unknown or invalid parameters are errors before anything runs."""
 
+import ast
+
 import pytest
 from conftest import REPOSITORY
 
@@ -128,3 +130,16 @@ def test_every_notebook_of_the_book_has_good_parameters():
     assert len(notebooks) >= 9
     for path in notebooks:
         assert parameters.merged(path, {}, loaded) == parameters.read(path)
+
+
+def test_every_notebook_hands_all_its_parameters_to_its_page():
+    for path in sorted((REPOSITORY / "notebooks").glob("*.py")):
+        calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+        named = {ast.unparse(call.func): call for call in calls}
+        if not parameters.read(path):
+            continue
+        opened = named["open_page"]
+        handed = [ast.unparse(argument) for argument in opened.args]
+        handed += [keyword.arg for keyword in opened.keywords if keyword.arg == ast.unparse(keyword.value)]
+        assert handed == list(parameters.read(path)), path.name
+        assert ast.unparse(named["pages.provenance.provenance"].args[0]) == "page", path.name

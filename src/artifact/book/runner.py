@@ -34,6 +34,7 @@ from artifact.pages.scope import NothingToShowError
 from artifact.studies import reported
 from artifact.studies.common import single_stage
 
+_SOURCES = (".py", ".csv", ".json", ".npy", ".mplstyle")
 _RUN_WITH = ("papermill", "ipykernel", "numpy", "torch", "scikit-learn", "pandas", "matplotlib")
 
 
@@ -321,7 +322,7 @@ def _key(manifest: Manifest, task: Task, shared: Mapping[str, Any], fingerprints
 def _shared_inputs(manifest: Manifest) -> dict[str, Any]:
     """What every notebook depends on: the library, the manifest's text and the versions that run it."""
     package = Path(__file__).resolve().parents[1]
-    files = sorted(p for p in package.rglob("*") if p.is_file() and p.suffix in (".py", ".csv", ".json", ".npy"))
+    files = sorted(p for p in package.rglob("*") if p.is_file() and p.suffix in _SOURCES)
     sources = dict(zip((str(p.relative_to(package)) for p in files), store.digest_of_files(files), strict=True))
     return {
         "sources": sources,

@@ -32,7 +32,8 @@ PAGES = {
 
 _SHORT = 24  # characters that a table cell keeps on one line
 _TALL = 30  # rows from which on a table scrolls in a box of its own
-_VERDICTS = {True: ("agrees", "agrees"), False: ("does not agree", "disagrees"), None: ("cannot tell", "open")}
+_VERDICTS = {True: "agrees", False: "does not agree", None: "cannot tell"}
+_VERDICT_STYLES = {"equal": "agrees", "agrees": "agrees", "does not agree": "disagrees", "differs": "disagrees"}
 
 
 def markup(template: str, *values: Any, **named: Any) -> HTML:
@@ -116,15 +117,15 @@ def findings(*found: Finding) -> HTML:
         markup(
             f'<div class="claim">{4 * line}</div>',
             *("Claim", one.claim, "Paper", one.paper, "Agrees if", one.rule),
-            *("This run", markup("{} {}", one.found, _agreement(one.agrees))),
+            *("This run", markup("{} {}", one.found, verdict(_VERDICTS[one.agrees]))),
         )
         for one in found
     )
 
 
-def _agreement(agrees: bool | None) -> HTML:
-    text, style = _VERDICTS[agrees]
-    return markup('<span class="verdict {}">{}</span>', style, text)
+def verdict(text: str) -> HTML:
+    """Show a verdict in its colour."""
+    return markup('<span class="verdict {}">{}</span>', _VERDICT_STYLES.get(text, "open"), text)
 
 
 def findings_table(found: Sequence[Finding]) -> HTML:
@@ -134,7 +135,7 @@ def findings_table(found: Sequence[Finding]) -> HTML:
             "Claim": one.claim,
             "The paper": one.paper,
             "This run": one.found,
-            "Verdict": _agreement(one.agrees),
+            "Verdict": verdict(_VERDICTS[one.agrees]),
             "Page": markup('<a href="{}.html">{}</a>', one.page, PAGES[one.page]),
         }
         for one in found

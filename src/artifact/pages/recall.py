@@ -13,9 +13,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from artifact.metrics.statistics import rank_agreement
-from artifact.pages.common import CLEARLY_PP, SIMILAR_PP, claim, interval, join, listed, marks, markup, number, table
+from artifact.pages.common import (
+    CLEARLY_PP,
+    SIMILAR_PP,
+    claim,
+    interval,
+    join,
+    listed,
+    marks,
+    markup,
+    number,
+    table,
+    verdict,
+)
 from artifact.pages.style import embed, marker_options, method_legend, percent_axis
-from artifact.pages.verdicts import mark_of
 from artifact.studies import reported, verdicts
 from artifact.studies.common import METRICS
 from artifact.studies.recall import with_means
@@ -100,25 +111,23 @@ def _cell(column: _Column, index: int, classes: str) -> HTML:
 def beside_reported(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> HTML:
     """Show every measured value with its interval and, where the paper has one, the reported value and the verdict."""
     headings = {metric: f"{metric}@{k} %" for metric in METRICS}
-    judged = verdicts.of_recall(frame).set_index(["dataset", "method", "quantity"])
+    judged = verdicts.of_recall(frame).set_index(["dataset", "method", "quantity"])["verdict"].to_dict()
     rows = [
         {"Dataset": row["title"], "Method": titles[row["method"]]}
-        | {heading: _beside(row, metric, judged) for metric, heading in headings.items()}
+        | {h: _beside(row, metric, judged.get((row["title"], row["method"], h))) for metric, h in headings.items()}
         | {"Queries": row["queries"], "From": row["origin"]}
         for row in frame.to_dict("records")
     ]
     return table(rows, numeric=[*headings.values(), "Queries"])
 
 
-def _beside(row: Mapping[str, Any], metric: str, judged: pd.DataFrame) -> HTML:
+def _beside(row: Mapping[str, Any], metric: str, judged: str | None) -> HTML:
     """One cell: the measured value, its interval, and the paper's value with the verdict."""
     bounds = interval(row[f"{metric}_low"], row[f"{metric}_high"])
     cell = markup("{}<small>{}</small>", number(row[metric], digits=2), bounds)
-    place = (row["title"], row["method"], f"{metric}@1 %")
-    if place not in judged.index:
+    if judged is None:
         return cell
-    found = judged.loc[place]
-    return markup("{}<small>paper {} {}</small>", cell, found["reported"], mark_of(found["verdict"], found["why"]))
+    return markup("{}<small>paper {} {}</small>", cell, number(row[f"reported_{metric}"]), verdict(judged))
 
 
 def scatter(

@@ -59,8 +59,10 @@ class Page:
     @property
     def parameters(self) -> dict[str, Any]:
         """All parameters of the notebook, with names in place of ``None`` once they are settled."""
-        settled = {name: getattr(self, name) for name in ("dataset", "datasets", "method", "methods")}
-        return {"profile": self.profile, **{name: settled.get(name, value) for name, value in self.asked.items()}}
+        settled = ("dataset", "datasets", "method", "methods")
+        return {"profile": self.profile} | {
+            name: getattr(self, name) if name in settled else value for name, value in self.asked.items()
+        }
 
     @property
     def method_titles(self) -> dict[str, str]:
@@ -90,7 +92,8 @@ class Page:
         if rendered:
             images.append(f"rendered images ({rendered[0] if len(rendered) == 1 else f'{len(rendered)} City pairs'})")
         with_what = " and ".join(what[kind] for kind in sorted(kinds))
-        return f"Measured by profile “{self.profile}” on {' and '.join(images)} with {with_what}."
+        counts = [f"{text}." for name in self.datasets for text in data.load(self.manifest, name).differences]
+        return " ".join([f"Measured by profile “{self.profile}” on {' and '.join(images)} with {with_what}.", *counts])
 
     @property
     def conditions(self) -> tuple[str, str]:

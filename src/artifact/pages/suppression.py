@@ -84,6 +84,7 @@ def heat_maps(table: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> 
         K, for the headings.
     """
     datasets = dict(zip(table["dataset"], table["title"], strict=True))
+    titles = {method: titles[method] for method in table["method"].unique()}
     suppressors = [name for name in table["suppression"].unique() if name != "original"]
     # The shorter axis runs across, so that the numbers stay legible.
     across, down = (titles, datasets) if len(titles) < len(datasets) else (datasets, titles)
