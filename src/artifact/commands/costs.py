@@ -244,15 +244,15 @@ def _leace_seconds(at: Pair, rates: Mapping[str, float]) -> float:
 
 
 def _inlp_memory(at: Pair) -> float:
-    """Eigenvectors and coordinates of the rows, with the temporary of one projection; or the rows in float64."""
+    """Gram matrix or coordinates, eigenvectors and room to work; or the rows in float64 and as much room."""
     n, d = at.images, at.dimension
-    return _PROCESS + at.bytes + 8.0 * n * (4 * n if n < d else 4 * d)
+    return _PROCESS + at.bytes + 8.0 * n * (3 * n if n < d else 2 * d)
 
 
 def _leace_memory(at: Pair) -> float:
-    """Gram matrix, its eigenvectors and the kept ones; or the centred rows with their scatter matrix."""
+    """Gram matrix and its eigenvectors; or the centred rows with their scatter matrix."""
     n, d = at.images, at.dimension
-    return _PROCESS + at.bytes + 8.0 * (3 * n * n if n < d else 2 * n * d + 3 * d * d)
+    return _PROCESS + at.bytes + 8.0 * (2 * n * n if n < d else 2 * n * d + 3 * d * d)
 
 
 def that_do_not_fit(
