@@ -29,6 +29,7 @@ STEPS = ("extraction", "ranking", "INLP", "LEACE", "suppressed", "probe", "UMAP"
 
 _PROCESS = 0.5e9  # bytes of Python and the libraries
 _TILES = 2**28  # bytes of a pass's similarity tiles
+_SLICE = 4096  # columns of the descriptors that sums widen to float64 at a time, twice
 _KEPT = 600  # bytes of a query's counts on disk, and in each further view or pool
 _UMAP_EPOCHS, _UMAP_FEW_EPOCHS, _UMAP_MANY = 500, 200, 10_000
 _CANDIDATES_OF_BOTH = 2  # database and augmented database give a query at most twice the candidates
@@ -244,15 +245,15 @@ def _leace_seconds(at: Pair, rates: Mapping[str, float]) -> float:
 
 
 def _inlp_memory(at: Pair) -> float:
-    """Eigenvectors and coordinates of the rows, with the temporary of one projection; or the rows in float64."""
+    """Gram matrix or coordinates, and eigenvectors; or the rows in float64 and as much room to work."""
     n, d = at.images, at.dimension
-    return _PROCESS + at.bytes + 8.0 * n * (4 * n if n < d else 4 * d)
+    return _PROCESS + at.bytes + 8.0 * n * (2 * n + 2 * _SLICE if n < d else 2 * d)
 
 
 def _leace_memory(at: Pair) -> float:
-    """Gram matrix, its eigenvectors and the kept ones; or the centred rows with their scatter matrix."""
+    """Gram matrix and its eigenvectors; or the centred rows with their scatter matrix."""
     n, d = at.images, at.dimension
-    return _PROCESS + at.bytes + 8.0 * (3 * n * n if n < d else 2 * n * d + 3 * d * d)
+    return _PROCESS + at.bytes + 8.0 * (2 * n * (n + _SLICE) if n < d else 2 * n * d + 3 * d * d)
 
 
 def that_do_not_fit(

@@ -79,7 +79,7 @@ def run_lines(manifest: Manifest, profile: str, *, device: str | None = None) ->
     yield from run_table(pairs)
     yield from _footnotes(manifest, extractions, devices)
     yield (
-        "ranking and later: short probes on made descriptors, scaled by size, right to a factor of about two; memory is "
+        "ranking and later: short probes on made descriptors, scaled by size, right to a factor of about three; memory is "
         "without descriptors mapped from disk"
     )
     unknown = [

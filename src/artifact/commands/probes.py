@@ -1,7 +1,7 @@
 """Short measured probes of what follows extraction: made descriptors of small size, in a process of their own each.
 
 A rate is seconds for one unit of the known complexity, for example for a pair of images and a dimension. At full size
-caches and threads behave a little differently: a prediction is good to a factor of about two.
+caches and threads behave a little differently: a prediction is good to a factor of about three.
 """
 
 from __future__ import annotations
