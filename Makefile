@@ -8,7 +8,7 @@ PYTHON ?= $(shell for p in python3 python3.12 python3.13 python3.11; do \
 PARAMETERS = $(foreach p,$(SET),-p '$(p)')
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test book data extract verify bench plan status lint lock clean
+.PHONY: help setup reproduce rehearsal test book data extract verify bench plan status lint lock clean
 
 help: ## show this help
 	@echo "make reproduce            set up, run the demo, build the book (all that a first run needs)"
@@ -26,6 +26,9 @@ setup: $(VENV)/.ready ## create the environment only
 
 reproduce: $(VENV)/.ready ## run the notebooks of a profile where anything changed, build the book
 	@$(RUN) reproduce --profile $(PROFILE) $(PARAMETERS)
+
+rehearsal: $(VENV)/.ready ## the whole paper on made descriptors: every page, no result
+	@$(RUN) reproduce --profile rehearsal
 
 test: $(VENV)/.ready ## run all tests
 	@$(VENV)/bin/python -m pytest $(ARGS)
