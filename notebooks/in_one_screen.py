@@ -18,8 +18,8 @@
 
 # %% tags=["parameters"]
 profile = "demo"
-dataset = None  # None takes the first dataset of the profile whose images are real, else the first
-method = None  # None takes the last method of the profile that does not re-rank
+dataset = None  # None takes the first of the profile with real images, else the first
+method = None  # None takes the last of the profile that does not re-rank
 
 # %% [markdown]
 # ## Descriptors and positions
@@ -34,12 +34,13 @@ from artifact import pages, studies
 from artifact.extraction.described import describe
 from artifact.pages.scope import open_page
 
-page = open_page(profile, dataset=dataset, method=method).choose(prefer="real", single_stage=True)
+page = open_page(profile, dataset=dataset, method=method)
+page = page.choose(prefer="real", single_stage=True)
 described = describe(page.manifest, page.dataset, page.method)
+data, threshold = described.dataset, described.dataset.threshold
 queries, database = described.query.values, described.database.values
-query_positions, database_positions = described.dataset.query.positions, described.dataset.database.positions
-threshold = described.dataset.threshold
-queries.shape, database.shape, query_positions.shape, threshold
+query_places, database_places = data.query.positions, data.database.positions
+queries.shape, database.shape, query_places.shape, threshold
 
 
 # %% [markdown]
@@ -58,28 +59,29 @@ def distances(a, b):
     return np.linalg.norm(a[:, None] - b[None], axis=2)
 
 
-def recall_and_dar(queries, database, query_positions, database_positions):
+def recall_and_dar(queries, database, query_places, database_places):
     """R@1 and DAR@1 in percent; the distractors are the queries themselves."""
-    positive = distances(query_positions, database_positions) <= threshold
-    evaluated = positive.any(axis=1)  # a query without a positive is excluded, also as a distractor
-    queries, query_positions, positive = queries[evaluated], query_positions[evaluated], positive[evaluated]
-    distractor = distances(query_positions, query_positions) > threshold
-    to_database, to_queries = unit(queries) @ unit(database).T, unit(queries) @ unit(queries).T
+    positive = distances(query_places, database_places) <= threshold
+    kept = positive.any(axis=1)  # a query without a positive is no distractor either
+    queries, query_places, positive = queries[kept], query_places[kept], positive[kept]
+    distractor = distances(query_places, query_places) > threshold
+    to_database, to_queries = (unit(queries) @ unit(x).T for x in (database, queries))
     best = np.where(positive, to_database, -np.inf).max(axis=1, keepdims=True)
-    outranked = (to_database > best).sum(axis=1)
-    outranked_by_distractors = (distractor & (to_queries > best)).sum(axis=1)
-    return 100 * np.mean(outranked < 1), 100 * np.mean(outranked + outranked_by_distractors < 1)
+    above = (to_database > best).sum(axis=1)
+    distractors_above = (distractor & (to_queries > best)).sum(axis=1)
+    return 100 * np.mean(above < 1), 100 * np.mean(above + distractors_above < 1)
 
 
-recall, dar = recall_and_dar(queries, database, query_positions, database_positions)
+recall, dar = recall_and_dar(queries, database, query_places, database_places)
 f"R@1 {recall:.2f} %, DAR@1 {dar:.2f} %, RSR@1 {100 * dar / recall:.2f} %"
 
 # %% [markdown]
 # The library counts the same in tiles, for every K and both sweeps at once:
 
 # %%
-result = artifact.evaluate(queries, database, query_positions, database_positions, threshold)
-f"R@1 {100 * result.recall(1):.2f} %, DAR@1 {100 * result.dar(1):.2f} %, RSR@1 {100 * result.rsr(1):.2f} %"
+places = query_places, database_places
+result = artifact.evaluate(queries, database, *places, threshold)
+[f"{100 * value:.2f} %" for value in (result.recall(1), result.dar(1), result.rsr(1))]
 
 # %% [markdown]
 # ## Condition suppression
@@ -88,37 +90,35 @@ f"R@1 {100 * result.recall(1):.2f} %, DAR@1 {100 * result.dar(1):.2f} %, RSR@1 {
 # rest, so no place is in both.
 
 # %%
-region = artifact.split(query_positions, database_positions, threshold, fraction=0.1)
-fit_queries, fit_database = queries[region.fit_queries], database[region.fit_database]
-condition = np.repeat(["query", "database"], [len(fit_queries), len(fit_database)])
-leace = artifact.LEACE().fit(np.concatenate([fit_queries, fit_database]), condition)
+region = artifact.split(*places, threshold, fraction=0.1)
+fitted = [queries[region.fit_queries], database[region.fit_database]]
+condition = np.repeat(["query", "database"], [len(part) for part in fitted])
+leace = artifact.LEACE().fit(np.concatenate(fitted), condition)
 
-rest_queries, rest_database = queries[region.evaluation_queries], database[region.evaluation_database]
-places = query_positions[region.evaluation_queries], database_positions[region.evaluation_database]
-original = recall_and_dar(rest_queries, rest_database, *places)
-suppressed = recall_and_dar(leace.transform(rest_queries), leace.transform(rest_database), *places)
-f"R@1 {original[0]:.2f} → {suppressed[0]:.2f} %, DAR@1 {original[1]:.2f} → {suppressed[1]:.2f} %"
+rows = region.evaluation_queries, region.evaluation_database
+rest = queries[rows[0]], database[rows[1]]
+where = query_places[rows[0]], database_places[rows[1]]
+original = recall_and_dar(*rest, *where)
+suppressed = recall_and_dar(*map(leace.transform, rest), *where)
+[f"{a:.2f} → {b:.2f} %" for a, b in zip(original, suppressed, strict=True)]
 
 # %% [markdown]
 # ## The same numbers as in the book
 
 # %%
-table3 = studies.recall.recall_table(page.manifest, [page.dataset], [page.method])
-fig8 = studies.suppression.suppression_table(page.manifest, [page.dataset], [page.method])
-changed = fig8.table.set_index("suppression").loc["LEACE"]
-book = table3.table.loc[0, ["R", "DAR"]].tolist() + changed[["R", "DAR", "change_R", "change_DAR"]].tolist()
+cell = page.manifest, [page.dataset], [page.method]
+table3 = studies.recall.recall_table(*cell).table.iloc[0]
+fig8 = studies.suppression.suppression_table(*cell).table.set_index("suppression")
+book = [*table3[["R", "DAR"]], *fig8.loc["LEACE", ["R", "DAR", "change_R", "change_DAR"]]]
 here = [recall, dar, *suppressed, *np.subtract(suppressed, original)]
 np.testing.assert_allclose(here, book, rtol=0, atol=1e-9)
 
 # %% tags=["remove-input"]
-from IPython.display import display
-
 names = ["R@1", "DAR@1", "R@1 with LEACE", "DAR@1 with LEACE", "ΔR@1", "ΔDAR@1"]
 source = ["Table III"] * 2 + ["Fig. 8"] * 4
 rows = [
     {"Quantity": name, "Shown in": shown, "Here": f"{value:.2f}", "In the book": f"{same:.2f}"}
     for name, shown, value, same in zip(names, source, here, book, strict=True)
 ]
-display(pages.common.label(page.label))
-display(pages.common.table(rows, text=2, caption="Shares in percent, changes in percentage points."))
-pages.provenance.provenance(page, described)
+shown = pages.common.table(rows, text=2, caption="Shares in percent, changes in percentage points.")
+pages.common.join([pages.common.label(page.label), shown, pages.provenance.provenance(page, described)])

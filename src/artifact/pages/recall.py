@@ -110,11 +110,14 @@ def _cell(column: _Column, index: int, classes: str) -> HTML:
 
 def beside_reported(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> HTML:
     """Show every measured value with its interval and, where the paper has one, the reported value and the verdict."""
-    headings = {metric: f"{metric}@{k} %" for metric in METRICS}
+    headings = {metric: f"{metric}@{k}\u00a0%" for metric in METRICS}
     judged = verdicts.of_recall(frame).set_index(["dataset", "method", "quantity"])["verdict"].to_dict()
     rows = [
         {"Dataset": row["title"], "Method": titles[row["method"]]}
-        | {h: _beside(row, metric, judged.get((row["title"], row["method"], h))) for metric, h in headings.items()}
+        | {
+            h: _beside(row, metric, judged.get((row["title"], row["method"], f"{metric}@{k} %")))
+            for metric, h in headings.items()
+        }
         | {"Queries": row["queries"], "From": row["origin"]}
         for row in frame.to_dict("records")
     ]
