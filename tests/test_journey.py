@@ -225,9 +225,14 @@ def test_a_method_from_outside_is_three_lines_and_an_entry_away(tiny):
     kept = {path: path.read_bytes() for path in (project / "book" / "executed").glob("*.ipynb")}
     content = yaml.safe_load(before)
     content["methods"]["my_method"] = {
-        "title": "Mean colour", "kind": "baseline", "backbone": "none", "aggregation": "mean", "dimension": 3,
-        "builder": "my_method:build", "preprocessing": {"resize": "fixed", "size": [32, 32]},
-    }  # fmt: skip
+        "title": "Mean colour",
+        "kind": "baseline",
+        "backbone": "none",
+        "aggregation": "mean",
+        "dimension": 3,
+        "builder": "my_method:build",
+        "preprocessing": {"resize": "fixed", "size": [32, 32]},
+    }
     (project / "my_method.py").write_text(MEAN_COLOUR)
     write_manifest(project, content)
     asked = ("run", "--only", "tab03", "-p", 'methods=["my_method","hog"]')

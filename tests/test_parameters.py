@@ -42,9 +42,16 @@ def loaded(project):
 
 def test_defaults_are_read_from_the_tagged_cell(notebook):
     assert parameters.read(notebook) == {
-        "profile": "demo", "dataset": None, "methods": None, "k": 1, "seed": 0, "ratios": [0, 0.5, 1], "distances": [25, 50],
-        "title": "plain", "scale": 1.0,
-    }  # fmt: skip
+        "profile": "demo",
+        "dataset": None,
+        "methods": None,
+        "k": 1,
+        "seed": 0,
+        "ratios": [0, 0.5, 1],
+        "distances": [25, 50],
+        "title": "plain",
+        "scale": 1.0,
+    }
 
 
 def test_asked_values_replace_defaults(notebook, loaded):
@@ -117,8 +124,10 @@ def test_parameter_cells_hold_plain_assignments(notebook, cell, message):
 
 def test_command_line_values_are_yaml():
     assert asked_parameters(["k=5", "fig06.ratios=[0, .5]", "tab03.datasets=[a,b]", "dataset=null"]) == {
-        "*": {"k": 5, "dataset": None}, "fig06": {"ratios": [0, 0.5]}, "tab03": {"datasets": ["a", "b"]},
-    }  # fmt: skip
+        "*": {"k": 5, "dataset": None},
+        "fig06": {"ratios": [0, 0.5]},
+        "tab03": {"datasets": ["a", "b"]},
+    }
     for text in ("k", "=3", ".k=3", "fig06.=3", "k=[1"):
         with pytest.raises(ParameterError):
             asked_parameters([text])

@@ -274,10 +274,15 @@ def _execute(task: Task, stored: Path) -> None:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of the Jupyter packages themselves; the notebook's own stay in it
                 papermill.execute_notebook(
-                    source, temporary, parameters=task.parameters, kernel_name="python3", progress_bar=False,
-                    cwd=task.path.parent, request_save_on_cell_execute=False,
+                    source,
+                    temporary,
+                    parameters=task.parameters,
+                    kernel_name="python3",
+                    progress_bar=False,
+                    cwd=task.path.parent,
+                    request_save_on_cell_execute=False,
                     extra_arguments=["--log-level=CRITICAL"],  # the kernel's own chatter; errors reach us as exceptions
-                )  # fmt: skip
+                )
             _strip(temporary)
         finally:
             source.unlink(missing_ok=True)
@@ -313,10 +318,13 @@ def _strip(path: Path) -> None:
 def _key(manifest: Manifest, task: Task, shared: Mapping[str, Any], fingerprints: Mapping[str, Any]) -> str:
     cells = [[cell.cell_type, cell.source, cell.metadata.get("tags", [])] for cell in jupytext.read(task.path).cells]
     return store.key(
-        stage="notebook", cells=cells, parameters=task.parameters, shared=shared,
+        stage="notebook",
+        cells=cells,
+        parameters=task.parameters,
+        shared=shared,
         datasets={name: fingerprints[name] for name in task.datasets},
         methods={name: methods.fingerprint(name, manifest.method(name)) for name in task.methods},
-    )  # fmt: skip
+    )
 
 
 def _shared_inputs(manifest: Manifest) -> dict[str, Any]:

@@ -15,9 +15,19 @@ from artifact.book.runner import Outcome, Task
 from artifact.manifest import Manifest
 
 _SHOWN_VERSIONS = (
-    "numpy", "scipy", "torch", "scikit-learn", "pandas", "matplotlib", "numba", "pillow", "papermill", "jupytext",
-    "jupyter-book", "sphinx",
-)  # fmt: skip
+    "numpy",
+    "scipy",
+    "torch",
+    "scikit-learn",
+    "pandas",
+    "matplotlib",
+    "numba",
+    "pillow",
+    "papermill",
+    "jupytext",
+    "jupyter-book",
+    "sphinx",
+)
 
 
 _STATUS = "status.md"
