@@ -13,6 +13,7 @@ from artifact import datasets, pages, store
 from artifact.book.build import executed_folder, source_folder
 from artifact.book.runner import Outcome, Task
 from artifact.manifest import Manifest
+from artifact.pages.scope import MADE
 
 _SHOWN_VERSIONS = (
     "numpy",
@@ -91,7 +92,7 @@ def _write_notice(manifest: Manifest, profile: str) -> None:
     path = executed_folder(manifest) / "notice.txt"
     if manifest.profile(profile).made:
         with store.replacing(path) as temporary:
-            temporary.write_text("Rehearsal: made descriptors. No number on this page is a result.", encoding="utf-8")
+            temporary.write_text(MADE, encoding="utf-8")
     else:
         path.unlink(missing_ok=True)
 

@@ -130,7 +130,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _manifest(options: argparse.Namespace) -> Any:
+def _manifest(options: argparse.Namespace, *, make: bool = True) -> Any:
+    """Load the manifest as the profile sees it; ``make`` writes made descriptors that are missing."""
     from artifact import manifest
     from artifact.extraction import made
 
@@ -139,7 +140,8 @@ def _manifest(options: argparse.Namespace) -> Any:
     if profile is None or not loaded.profile(profile).made:
         return loaded
     loaded = loaded.for_profile(profile)
-    made.make(loaded, profile)
+    if make:
+        made.make(loaded, profile)
     return loaded
 
 
@@ -311,7 +313,7 @@ def _status(options: argparse.Namespace) -> None:
     from artifact.book import status
     from artifact.methods import weights
 
-    manifest = _manifest(options)
+    manifest = _manifest(options, make=False)
     for name in manifest.profile(options.profile).methods:
         state = weights.state(name, manifest.method(name))
         if state.status != "not needed":

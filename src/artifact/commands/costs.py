@@ -15,14 +15,12 @@ from artifact.extraction import local_features
 from artifact.extraction.costs import ExtractionCost, Part
 from artifact.manifest import Manifest
 from artifact.manifest.entries import MethodEntry
+from artifact.studies.verdicts import FRACTIONS
 
 Rates = Mapping[str, float | None]
 
 FRACTION = 0.1
 """Share of the queries that all studies but Fig. 10 fit on."""
-
-FRACTIONS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)
-"""Shares of Fig. 10, which evaluates on the outer half."""
 
 STEPS = ("extraction", "ranking", "INLP", "LEACE", "suppressed", "probe", "UMAP")
 """Steps of a run; ``suppressed`` is the ranking of suppressed descriptors, with the passes of STD."""

@@ -6,14 +6,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from artifact import store
 from artifact.datasets import folder, shipped
-from artifact.datasets.positives import positives_of
 from artifact.datasets.rendered import render, rendered_folder
 from artifact.datasets.traversal import Dataset, DatasetError, Given, Traversal
 from artifact.manifest import Manifest
@@ -54,7 +53,7 @@ def load(manifest: Manifest, name: str, traversals: Iterable[str] | None = None)
         query_name=entry.query,
         database_name=entry.database,
         real=entry.kind == "folder",
-        differences=tuple(_differences(entry, loaded[entry.query], loaded[entry.database])),
+        paper=entry.paper,
     )
 
 
@@ -74,8 +73,7 @@ def load_traversal(manifest: Manifest, dataset: str, name: str) -> Traversal:
         digests = store.digest_of_files([images / image for image in names], manifest.cache)
         digest = store.key(images=list(zip(names, digests, strict=True)))
         return Traversal(dataset, name, condition, tuple(names), positions, digest, images)
-    shipped_as = entry.root or dataset
-    without_images = None if Path(shipped_as).is_absolute() else shipped.traversal(shipped_as, name)
+    without_images = shipped.traversal(entry.root or dataset, name)
     if without_images is None:
         raise DatasetError(_missing(dataset, entry, images, manifest))
     names, digest = without_images
@@ -94,23 +92,19 @@ def _load_described(manifest: Manifest, dataset: str, entry: DatasetEntry, name:
             f"{dataset}/{name}: the threshold is in {entry.threshold.unit} but the positions in {file} are in {found}"
         )
     given = [
-        {method: root / path for method, path in files.items()}
+        _with_digests(f"{dataset}/{name}", {method: root / path for method, path in files.items()}, manifest.cache)
         for files in (traversal.descriptors, traversal.second_stage)
     ]
-    missing = [path for files in given for path in files.values() if not path.is_file()]
+    digest = store.key(names=names, given=[{method: one.sha256 for method, one in files.items()} for files in given])
+    return Traversal(dataset, name, traversal.condition, tuple(names), positions, digest, None, *given)
+
+
+def _with_digests(label: str, files: Mapping[str, Path], cache: Path) -> dict[str, Given]:
+    missing = [path for path in files.values() if not path.is_file()]
     if missing:
-        raise DatasetError(f"{dataset}/{name}: no file {missing[0]}, which the manifest names")
-    with_digests = [
-        {
-            method: Given(path, digest)
-            for (method, path), digest in zip(
-                files.items(), store.digest_of_files(list(files.values()), manifest.cache), strict=True
-            )
-        }
-        for files in given
-    ]
-    digest = store.key(names=names, given=[{m: g.sha256 for m, g in files.items()} for files in with_digests])
-    return Traversal(dataset, name, traversal.condition, tuple(names), positions, digest, None, *with_digests)
+        raise DatasetError(f"{label}: no file {missing[0]}, which the manifest names")
+    digests = store.digest_of_files(list(files.values()), cache)
+    return {method: Given(*pair) for method, pair in zip(files, zip(files.values(), digests, strict=True), strict=True)}
 
 
 def image_folder(manifest: Manifest, dataset: str, name: str) -> Path:
@@ -164,21 +158,6 @@ def _check_pair(name: str, entry: DatasetEntry, query: Traversal, database: Trav
             odd = sorted(set(stems[0]) ^ set(stems[1]))
             what = f"{len(odd)} names have no partner, first {odd[0]!r}" if odd else "the order differs"
             raise DatasetError(f"{name}: images are matched in pairs by file name, but {what}")
-
-
-def _differences(entry: DatasetEntry, query: Traversal, database: Traversal) -> Iterator[str]:
-    """Compare numbers of images with those that the paper lists."""
-    if entry.paper is None:
-        return
-    starts, _ = positives_of(query.positions, database.positions, entry.threshold.value)
-    counts = {
-        "query images": (len(query), entry.paper.queries),
-        "database images": (len(database), entry.paper.database),
-        "evaluated queries": (int((np.diff(starts) > 0).sum()), entry.paper.evaluated),
-    }
-    for what, (found, listed) in counts.items():
-        if listed is not None and found != listed:
-            yield f"{entry.title}: {found:,} {what}, the paper lists {listed:,}"
 
 
 def describe_missing(manifest: Manifest, name: str) -> str | None:

@@ -21,8 +21,9 @@ def folder() -> Path:
 
 def traversal(dataset: str, name: str) -> tuple[list[str], str] | None:
     """Return the image names and content digest of a shipped traversal, or ``None`` if there is none."""
+    # A folder of the user's is no name of a shipped dataset; joined to ours it would replace it.
     path = folder() / dataset / "traversals.json"
-    if not path.is_file():
+    if Path(dataset).is_absolute() or not path.is_file():
         return None
     record = json.loads(path.read_text(encoding="utf-8")).get(name)
     return (record["image_names"], record["digest"]) if record else None

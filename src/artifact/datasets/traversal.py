@@ -8,6 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from artifact.datasets.positives import positives_of
+from artifact.manifest.entries import PaperCounts
+
 
 class DatasetError(ValueError):
     """A dataset that cannot be used; the message names the file or folder and what to do."""
@@ -102,8 +105,8 @@ class Dataset:
         Which of them are the query and the database.
     real
         Whether the images are photographs; ``False`` for the rendered town and for made descriptors.
-    differences
-        How the numbers of images differ from those that the paper lists, one sentence each.
+    paper
+        Numbers of images that the paper lists, if it has the dataset.
     """
 
     name: str
@@ -115,7 +118,24 @@ class Dataset:
     query_name: str
     database_name: str
     real: bool
-    differences: tuple[str, ...] = ()
+    paper: PaperCounts | None = None
+
+    @property
+    def differences(self) -> tuple[str, ...]:
+        """How the numbers of images differ from those that the paper lists, one sentence each."""
+        if self.paper is None:
+            return ()
+        starts, _ = positives_of(self.query.positions, self.database.positions, self.threshold)
+        counts = {
+            "query images": (len(self.query), self.paper.queries),
+            "database images": (len(self.database), self.paper.database),
+            "evaluated queries": (int((np.diff(starts) > 0).sum()), self.paper.evaluated),
+        }
+        return tuple(
+            f"{self.title}: {found:,} {what}, the paper lists {listed:,}"
+            for what, (found, listed) in counts.items()
+            if listed is not None and found != listed
+        )
 
     @property
     def query(self) -> Traversal:

@@ -16,6 +16,8 @@ import pandas as pd
 from IPython.display import HTML
 from markupsafe import Markup
 
+from artifact.studies.verdicts import printed_digits
+
 CLEARLY_PP = 10.0
 """Difference in percentage points that counts as "well below" or "large"; the paper gives no number."""
 
@@ -123,9 +125,10 @@ def findings(*found: Finding) -> HTML:
     )
 
 
-def verdict(text: str) -> HTML:
-    """Show a verdict in its colour."""
-    return markup('<span class="verdict {}">{}</span>', _VERDICT_STYLES.get(text, "open"), text)
+def verdict(text: str, why: str = "") -> HTML:
+    """Show a verdict in its colour, with the reason for it on hover."""
+    reason = markup(' title="{}"', why) if why else ""
+    return markup('<span class="verdict {}"{}>{}</span>', _VERDICT_STYLES.get(text, "open"), reason, text)
 
 
 def findings_table(found: Sequence[Finding]) -> HTML:
@@ -157,7 +160,7 @@ def number(value: float, *, digits: int | None = None) -> str:
     if pd.isna(value):
         return "–"
     if digits is None:
-        digits = 2 if abs(value) < 9.995 else 1 if abs(value) < 99.95 else 0
+        digits = printed_digits(value)
     return f"{value:.{digits}f}"
 
 

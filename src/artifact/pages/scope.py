@@ -92,7 +92,8 @@ class Page:
         if rendered:
             images.append(f"rendered images ({rendered[0] if len(rendered) == 1 else f'{len(rendered)} City pairs'})")
         with_what = " and ".join(what[kind] for kind in sorted(kinds))
-        counts = [f"{text}." for name in self.datasets for text in data.load(self.manifest, name).differences]
+        counted = [name for name in self.datasets if self.manifest.dataset(name).paper is not None]
+        counts = [f"{text}." for name in counted for text in data.load(self.manifest, name).differences]
         return " ".join([f"Measured by profile “{self.profile}” on {' and '.join(images)} with {with_what}.", *counts])
 
     @property
@@ -185,10 +186,10 @@ class Page:
             raise NothingToShowError("this page needs images or their statistics; no dataset of this run has them")
         return self.only(*names)
 
-    def _with_one_method(self, single_stage: bool) -> Page:
-        for name in reversed(self.methods):
-            if not single_stage or self.manifest.method(name).rerank is None:
-                return replace(self, methods=(name,))
+    def _with_one_method(self, alone: bool) -> Page:
+        suiting = single_stage(self.manifest, self.methods) if alone else self.methods
+        if suiting:
+            return replace(self, methods=(suiting[-1],))
         need = "this page needs a method that does not re-rank"
         if self.asked["method"] is not None:
             raise ManifestError(f"method {self.methods[0]!r}: {need}")

@@ -7,16 +7,10 @@ from collections.abc import Mapping
 import pandas as pd
 from IPython.display import HTML
 
-from artifact.pages.common import interval, markup, table
+from artifact.pages.common import interval, markup, table, verdict
 from artifact.studies import verdicts
 
-_STYLES = {"equal": "agrees", "agrees": "agrees", "differs": "disagrees", "cannot tell": "open"}
 NOTHING = "No number on this page can be compared with the paper's: that takes its datasets and its methods."
-
-
-def mark_of(verdict: str, why: str) -> HTML:
-    """Show a verdict as a mark with its reason."""
-    return markup('<span class="verdict {}" title="{}">{}</span>', _STYLES[verdict], why, verdict)
 
 
 def verdicts_table(*found: pd.DataFrame, titles: Mapping[str, str]) -> HTML:
@@ -42,10 +36,10 @@ def verdicts_table(*found: pd.DataFrame, titles: Mapping[str, str]) -> HTML:
             "Paper": row["reported"],
             "Measured": f"{row['measured']:.2f}",
             "95 %": "–" if pd.isna(row["low"]) else interval(row["low"], row["high"]),
-            "Verdict": mark_of(row["verdict"], row["why"]),
+            "Verdict": verdict(row["verdict"], row["why"]),
             "Why": row["why"],
         }
         for row in rows
     ]
-    caption = "Beside the paper: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count) + "."
+    caption = "Beside the paper: " + ", ".join(f"{count} {value}" for value, count in counts.items() if count) + "."
     return table(shown, numeric=["Paper", "Measured"], caption=caption)

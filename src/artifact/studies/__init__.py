@@ -4,7 +4,7 @@ Shares are in percent here, as the paper prints them. Every row says what it is 
 record of its inputs.
 """
 
-from artifact.studies import (
+from artifact.studies import (  # noqa: F401
     catalogue,
     common,
     composition,
@@ -21,21 +21,3 @@ from artifact.studies import (
     verdicts,
     within_session,
 )
-
-__all__ = [
-    "catalogue",
-    "common",
-    "composition",
-    "distractors",
-    "embedding",
-    "erased",
-    "evaluated",
-    "fitted",
-    "mixed_database",
-    "protocol",
-    "recall",
-    "reported",
-    "suppression",
-    "verdicts",
-    "within_session",
-]
