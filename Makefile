@@ -5,7 +5,8 @@ RUN := $(VENV)/bin/python -m artifact
 # The first Python that fits: python3 if it does, else a named version.
 PYTHON ?= $(shell for p in python3 python3.12 python3.13 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
-PARAMETERS = $(foreach p,$(SET),-p '$(p)')
+# As typed: spaces, quotes and dollar signs reach the command unchanged.
+export ARTIFACT_SET := $(value SET)
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
 .PHONY: help setup reproduce rehearsal test book data extract verify bench plan status lint lock clean
@@ -25,7 +26,7 @@ help: ## show this help
 setup: $(VENV)/.ready ## create the environment only
 
 reproduce: $(VENV)/.ready ## run the notebooks of a profile where anything changed, build the book
-	@$(RUN) reproduce --profile $(PROFILE) $(PARAMETERS)
+	@$(RUN) reproduce --profile $(PROFILE) --set "$$ARTIFACT_SET"
 
 rehearsal: $(VENV)/.ready ## the whole paper on made descriptors: every page, no result
 	@$(RUN) reproduce --profile rehearsal

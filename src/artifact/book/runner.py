@@ -11,7 +11,7 @@ import os
 import shutil
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -27,7 +27,7 @@ from tqdm import tqdm
 from artifact import datasets, methods, store
 from artifact.book import parameters
 from artifact.extraction import extract, timing
-from artifact.manifest import Manifest
+from artifact.manifest import TYPED_IN, Manifest
 from artifact.manifest.entries import ManifestError
 from artifact.methods import weights
 from artifact.pages.scope import NothingToShowError
@@ -54,12 +54,16 @@ class Task:
         Checked values of all its parameters.
     datasets, methods
         What it uses, so that it can be made ready before.
+    dataset_asked
+        Whether its one dataset was asked for by name and for this notebook alone: then one that does not suit is an error, else
+        the page says so.
     """
 
     path: Path
     parameters: dict[str, Any]
     datasets: tuple[str, ...]
     methods: tuple[str, ...]
+    dataset_asked: bool = False
 
     @property
     def name(self) -> str:
@@ -128,7 +132,8 @@ def plan(
         names, methods_used = _scope(manifest, profile, values)
         if "single_stage" in path.read_text(encoding="utf-8"):
             methods_used = tuple(single_stage(manifest, methods_used))
-        tasks.append(Task(path, values, names, methods_used))
+        own = "dataset" in asked.get(name, {}) or "dataset" in entry.parameters.get(name, {}).keys() - here.keys()
+        tasks.append(Task(path, values, names, methods_used, own))
     if unused := set(everywhere) - used:
         raise parameters.ParameterError(f"no notebook has a parameter {sorted(unused)[0]!r}")
     return tasks
@@ -216,15 +221,11 @@ def run(
     NotebookError
         If any notebook fails, after all have ended.
     """
-    # A kernel of another environment must not be picked up from the user's Jupyter settings.
-    os.environ |= {"JUPYTER_PREFER_ENV_PATH": "1", "JUPYTER_PATH": ""}
-    # Methods from outside stand beside the manifest; a kernel starts in the folder of the notebooks.
-    paths = [str(manifest.path.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
-    os.environ["PYTHONPATH"] = os.pathsep.join(paths)
     shared = _shared_inputs(manifest)
     fingerprints = {name: _fingerprint(manifest, name) for name in dict.fromkeys(n for t in tasks for n in t.datasets)}
     jobs = jobs or min(8, os.cpu_count() or 1)
     with (
+        _environment_of_kernels(manifest),
         ThreadPoolExecutor(jobs) as pool,
         tqdm(total=len(tasks), unit="notebook", desc="notebooks", leave=False, disable=None) as bar,
     ):
@@ -241,6 +242,27 @@ def run(
     return outcomes
 
 
+@contextlib.contextmanager
+def _environment_of_kernels(manifest: Manifest) -> Iterator[None]:
+    """Set what the kernels inherit, and restore it."""
+    before = dict(os.environ)
+    # Methods from outside stand beside the manifest; a kernel starts in the folder of the notebooks.
+    paths = [str(manifest.path.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    os.environ |= {
+        # A kernel of another environment must not be picked up from the user's Jupyter settings.
+        "JUPYTER_PREFER_ENV_PATH": "1",
+        "JUPYTER_PATH": "",
+        "PYTHONPATH": os.pathsep.join(paths),
+        TYPED_IN: str(manifest.relative_to),
+    }
+    try:
+        yield
+    finally:
+        for name in os.environ.keys() - before.keys():
+            del os.environ[name]
+        os.environ |= before
+
+
 def _run_one(manifest: Manifest, task: Task, key: str, output: Path, *, force: bool) -> Outcome:
     stored = manifest.cache / "notebooks" / f"{task.name}-{key[:24]}.ipynb"
     target = output / f"{task.name}.ipynb"
@@ -252,7 +274,7 @@ def _run_one(manifest: Manifest, task: Task, key: str, output: Path, *, force: b
             try:
                 _execute(task, stored)
             except PapermillExecutionError as fault:
-                if fault.ename == NothingToShowError.__name__ and task.parameters.get("dataset") is None:
+                if fault.ename == NothingToShowError.__name__ and not task.dataset_asked:
                     _write_empty_page(task, stored, str(fault.evalue))
                 else:
                     target.unlink(missing_ok=True)  # an older page must not pass for this run's

@@ -75,6 +75,9 @@ def _parser() -> argparse.ArgumentParser:
         )
         sub.add_argument("-p", "--parameter", action="append", default=[], metavar="[NOTEBOOK.]NAME=VALUE",
                          help="set a notebook parameter, for one notebook or for all that have it; VALUE is YAML")  # fmt: skip
+        sub.add_argument(
+            "--set", default="", metavar="TEXT", help="several such parameters, with spaces between, as make SET='…'"
+        )
         sub.add_argument("--jobs", type=int, help="notebooks that run at once (default: the number of cores)")
         sub.add_argument("--force", action="store_true", help="run notebooks again even where nothing changed")
 
@@ -85,6 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("book", _book, "build the book from the executed notebooks, running none")
     sub = command("data", _data, "make the datasets and weights of a profile ready and say which are missing")
     scope(sub)
+    _add_options(sub)
     sub = command("extract", _extract, "extract the descriptors of a profile")
     scope(sub)
     sub.add_argument(
@@ -107,7 +111,8 @@ def _parser() -> argparse.ArgumentParser:
     scope(sub)
     sub.add_argument("--datasets", nargs="+", help="names or folders (default: those of the profile)")
     sub.add_argument("--methods", nargs="+", help="names (default: those of the profile)")
-    sub.add_argument("--k", type=int, default=1)
+    sub.add_argument("--k", type=int, nargs="+", default=[], help="K (default: 1; for files 1, 5 and 10)")
+    _descriptor_files(sub)
     sub = command(
         "verify",
         _verify,
@@ -128,6 +133,57 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("status", _status, "show the state of data, descriptors and the last run")
     scope(sub)
     return parser
+
+
+def _descriptor_files(sub: argparse.ArgumentParser) -> None:
+    """Options of descriptors in files."""
+    group = sub.add_argument_group("descriptors in files, instead of datasets and methods")
+    group.add_argument("--queries", type=Path, metavar="FILE", help=".npy, .npz, .safetensors or .h5 (hloc's layout)")
+    group.add_argument("--database", type=Path, metavar="FILE", help="the same for the database")
+    where = "CSV (image,x,y or image,index), .npy, list or folder of @utm_east@utm_north@ names (default: frame order)"
+    group.add_argument("--query-positions", type=Path, metavar="FILE", help=where)
+    group.add_argument("--database-positions", type=Path, metavar="FILE", help="the same for the database")
+    group.add_argument("--threshold", metavar="T", help="25m, 2frames or exact")
+    group.add_argument(
+        "--distractors",
+        nargs="+",
+        default=[],
+        metavar="NAME=FILE[,POSITIONS]",
+        help="pools of distractors instead of the queries",
+    )
+    group.add_argument("--suppress", nargs="+", choices=("INLP", "LEACE", "STD"), default=[], help="fit and compare")
+    group.add_argument("--fraction", type=float, default=0.1, help="query fitting fraction (default: 0.1)")
+    group.add_argument("--seed", type=int, default=0, help="seed of INLP and of the intervals (default: 0)")
+    group.add_argument("--per-query", type=Path, metavar="CSV", help="write one row for each evaluated query")
+    group.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def _add_options(sub: argparse.ArgumentParser) -> None:
+    """Options of ``data add``."""
+    text = "describe folders of images as a dataset, after a look at them"
+    actions = sub.add_subparsers(metavar="add", title="own images")
+    add = actions.add_parser("add", help=text, description=text)
+    add.set_defaults(command=_add)
+    add.add_argument("name", metavar="NAME", help="folder that will hold dataset.yaml and preview.html")
+    add.add_argument("--query", required=True, metavar="[NAME=]DIR", help="images of the query traversal")
+    add.add_argument(
+        "--database", required=True, metavar="[NAME=]DIR", help="images of the same places, other condition"
+    )
+    add.add_argument(
+        "--traversal", action="append", default=[], metavar="NAME=DIR", help="a further pool of distractors"
+    )
+    where = add.add_mutually_exclusive_group()
+    where.add_argument("--positions", nargs="+", metavar="CSV", help="one file for all traversals, or one for each")
+    where.add_argument("--names", action="store_true", help="positions are in the names: @utm_east@utm_north@….jpg")
+    where.add_argument("--order", action="store_true", help="the n-th images of all folders show the same place")
+    add.add_argument("--threshold", metavar="T", help="25m, 2frames or exact (default: 25m, or 1frame without metres)")
+    add.add_argument("--dry-run", action="store_true", help="look only, write nothing")
+
+
+def _add(options: argparse.Namespace) -> None:
+    from artifact.commands import add
+
+    _print(add.run(_manifest(options), options))
 
 
 def _manifest(options: argparse.Namespace, *, make: bool = True) -> Any:
@@ -168,11 +224,39 @@ def asked_parameters(texts: Sequence[str]) -> dict[str, dict[str, Any]]:
     return asked
 
 
+def assignments(text: str) -> list[str]:
+    """Split a text at the spaces that are in no quotes and no brackets.
+
+    Examples
+    --------
+    >>> assignments("k=5  fig06.ratios=[0, 0.5] datasets=['my town']")
+    ['k=5', 'fig06.ratios=[0, 0.5]', "datasets=['my town']"]
+    """
+    parts, quote, depth = [""], "", 0
+    for character in text:
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "\"'":
+            quote = character
+        else:
+            depth += (character in "[{(") - (character in "]})")
+        if character.isspace() and not quote and depth <= 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return [part for part in parts if part]
+
+
 def _run(options: argparse.Namespace) -> None:
     from artifact.book import build, runner, status
 
     manifest = _manifest(options)
-    tasks = runner.plan(manifest, options.profile, only=options.only, asked=asked_parameters(options.parameter))
+    tasks = runner.plan(
+        manifest,
+        options.profile,
+        only=options.only,
+        asked=asked_parameters([*options.parameter, *assignments(options.set)]),
+    )
     with build.timed() as preparation:
         runner.prepare(manifest, tasks)
     outcomes = runner.run(manifest, tasks, build.executed_folder(manifest), jobs=options.jobs, force=options.force)
@@ -265,15 +349,26 @@ def _extract(options: argparse.Namespace) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> None:
-    from artifact.studies import recall
+    from artifact.commands import evaluate
+
+    if options.queries or options.database:
+        _print(evaluate.run(options))
+        return
+    from artifact.studies import preview, recall
 
     manifest = _manifest(options)
     profile = manifest.profile(options.profile)
-    study = recall.recall_table(
-        manifest, options.datasets or profile.datasets, options.methods or profile.methods, k=options.k
-    )
-    shown = study.table[["title", "method", "R", "DAR", "RSR", "queries", "origin"]]
-    sys.stdout.write(shown.to_string(index=False, float_format=lambda value: f"{value:.2f}") + "\n")
+    own = [name for name in options.datasets or [] if name not in manifest.datasets]
+    for name in own:
+        sys.stdout.write(f"{name}: {preview.in_words(preview.pair_facts(manifest, name))}\n")
+        sys.stdout.write(preview.traversals_table(manifest, name).to_string(index=False, na_rep="–") + "\n\n")
+    for k in options.k or [1]:
+        study = recall.recall_table(
+            manifest, options.datasets or profile.datasets, options.methods or profile.methods, k=k
+        )
+        shown = study.table[["title", "method", "R", "DAR", "RSR", "queries", "origin"]]
+        heading = f"K = {k}\n" if len(options.k) > 1 else ""
+        sys.stdout.write(heading + shown.to_string(index=False, float_format=lambda value: f"{value:.2f}") + "\n")
 
 
 def _verify(options: argparse.Namespace) -> int:

@@ -128,9 +128,10 @@ def listed(manifest: Manifest, dataset: str, name: str) -> tuple[list[str], np.n
         file = root / traversal.positions_file if traversal.positions_file else images / POSITIONS_FILE
         positions, found = folder.positions_from_csv(file, names)
     else:
-        positions, found = np.arange(len(names), dtype=np.float64)[:, None], unit
+        positions, found = np.arange(len(names), dtype=np.float64)[:, None], "frames"
     if (found == "metres") != (unit == "metres"):
-        raise DatasetError(f"{dataset}/{name}: the threshold is in {unit} but the positions are in {found}")
+        where = "are the frame order" if source == "order" else f"are in {found}"
+        raise DatasetError(f"{dataset}/{name}: the threshold is in {unit} but the positions {where}")
     if traversal.spacing is not None:
         kept = folder.keep_spacing(positions, traversal.spacing)
         names, positions = [names[index] for index in kept], positions[kept]

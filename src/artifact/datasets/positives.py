@@ -32,3 +32,8 @@ def positives_of(
     inside = np.linalg.norm(query_positions[owners] - database_positions[indices], axis=1) <= threshold
     counts = np.bincount(owners[inside], minlength=len(near))
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), indices[inside]
+
+
+def nearest_distance(query_positions: np.ndarray, database_positions: np.ndarray) -> float:
+    """Return the least distance between a query and a database image, in the unit of the positions."""
+    return float(cKDTree(database_positions).query(query_positions)[0].min())

@@ -8,7 +8,7 @@ values allowed.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,9 @@ from artifact.manifest.faults import read
 from artifact.manifest.layout import entry_of_folder
 
 DATA_ROOT_VARIABLE = "ARTIFACT_DATA_ROOT"
+TYPED_IN = "ARTIFACT_TYPED_IN"
+"""Environment variable with the folder that a command was typed in, for the notebooks that it runs."""
+
 CACHE_VARIABLE = "ARTIFACT_CACHE"
 
 
@@ -41,6 +44,8 @@ class Manifest:
         (relative to the manifest).
     datasets, methods, profiles
         The entries by name, in the order of the file.
+    relative_to
+        Folder that paths of own datasets are relative to: the one that a command was typed in.
     """
 
     path: Path
@@ -48,6 +53,7 @@ class Manifest:
     datasets: dict[str, DatasetEntry]
     methods: dict[str, MethodEntry]
     profiles: dict[str, ProfileEntry]
+    relative_to: Path = field(default_factory=Path.cwd)
 
     @property
     def cache(self) -> Path:
@@ -58,6 +64,8 @@ class Manifest:
     def dataset(self, name: str) -> DatasetEntry:
         """Return the entry of a dataset that the manifest names, or that is a folder.
 
+        The path of a folder is relative to ``relative_to``.
+
         Raises
         ------
         ManifestError
@@ -66,10 +74,11 @@ class Manifest:
         """
         if name in self.datasets:
             return self.datasets[name]
-        folder = Path(name).expanduser()
+        folder = self.relative_to / Path(name).expanduser()
         if not folder.is_dir():
             raise ManifestError(
-                f"{self.path}: no dataset {name!r}; the datasets are {quoted(self.datasets)}, and {name!r} is no folder either"
+                f"{self.path}: no dataset {name!r}; the datasets are {quoted(self.datasets)}, and there is no folder "
+                f"{folder} either"
             )
         return entry_of_folder(folder)
 

@@ -9,7 +9,7 @@ from artifact.manifest.faults import read
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 POSITIONS_FILE = "positions.csv"
-_DESCRIPTION = "dataset.yaml"
+DESCRIPTION = "dataset.yaml"
 _QUERY_FOLDERS = ("queries", "query")
 _DATABASE_FOLDERS = ("database", "gallery")
 
@@ -27,8 +27,8 @@ def entry_of_folder(folder: Path) -> DatasetEntry:
         If the description has a fault, or the layout is another one.
     """
     folder = folder.resolve()
-    if (folder / _DESCRIPTION).is_file():
-        entry = read(folder / _DESCRIPTION, DatasetEntry)
+    if (folder / DESCRIPTION).is_file():
+        entry = read(folder / DESCRIPTION, DatasetEntry)
         return entry if entry.root else entry.model_copy(update={"root": str(folder)})
     query, database = _one_of(folder, _QUERY_FOLDERS), _one_of(folder, _DATABASE_FOLDERS)
     sources = {part: positions_source(folder / part) for part in (query, database)}
@@ -37,7 +37,7 @@ def entry_of_folder(folder: Path) -> DatasetEntry:
             f"{folder}: {query} and {database} have different kinds of positions: {', '.join(sorted(sources.values()))}"
         )
     source = sources[query]
-    in_frames = source == "order" or (source == "csv" and _has_index(folder / query / POSITIONS_FILE))
+    in_frames = source == "order" or (source == "csv" and has_index(folder / query / POSITIONS_FILE))
     return DatasetEntry(
         title=folder.name,
         kind="folder",
@@ -55,7 +55,7 @@ def _one_of(folder: Path, candidates: tuple[str, ...]) -> str:
     if len(found) != 1:
         raise ManifestError(
             f"{folder}: expected one folder named {' or '.join(candidates)}, found {len(found)}; "
-            f"or describe the dataset in {folder / _DESCRIPTION}"
+            f"or describe the dataset in {folder / DESCRIPTION}"
         )
     return found[0]
 
@@ -68,6 +68,7 @@ def positions_source(images: Path) -> Positions:
     return "names" if names and names[0].startswith("@") else "order"
 
 
-def _has_index(path: Path) -> bool:
+def has_index(path: Path) -> bool:
+    """Say whether a positions file holds frame indices."""
     with path.open(encoding="utf-8-sig") as stream:
         return "index" in stream.readline().lower()

@@ -11,6 +11,7 @@ from artifact.pages import (  # noqa: F401
     galleries,
     mixed_database,
     opening,
+    preview,
     protocol,
     provenance,
     recall,

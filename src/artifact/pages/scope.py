@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Literal
 
 from artifact import datasets as data
 from artifact import manifest as manifests
 from artifact.datasets.appearance import has_appearance
-from artifact.manifest import Manifest
+from artifact.manifest import TYPED_IN, Manifest
 from artifact.manifest.entries import ManifestError
 from artifact.pages.style import use_style
 from artifact.studies.common import single_stage
@@ -142,9 +144,9 @@ class Page:
         Raises
         ------
         ManifestError
-            If the named dataset or method does not suit; the message says what is needed.
+            If the named method does not suit; the message says what is needed.
         NothingToShowError
-            If none of the profile suits.
+            If the named dataset does not suit, or none of the profile does.
         """
         page = self._with_one_method(single_stage) if "method" in self.asked else self
         entries = {name: self.manifest.dataset(name) for name in self.datasets}
@@ -168,7 +170,7 @@ class Page:
         needs += ["its images at hand"] if images else []
         need = f"this page needs a dataset with {' and '.join(needs)}"
         if self.asked.get("dataset") is not None:
-            raise ManifestError(f"dataset {self.dataset!r}: {need}")
+            raise NothingToShowError(f"{need}; {self.dataset!r} is not one")
         raise NothingToShowError(f"{need}; no dataset of profile {self.profile!r} is one")
 
     def single_stage(self) -> Page:
@@ -218,6 +220,8 @@ def open_page(profile: str, **parameters: Any) -> Page:
     """
     use_style()
     manifest = manifests.load().for_profile(profile)
+    # A notebook that a command runs starts in another folder than the command; one that is opened by hand, in any.
+    manifest = replace(manifest, relative_to=Path(os.environ.get(TYPED_IN, manifest.path.parent)))
     entry = manifest.profile(profile)
 
     def named(several: str, one: str, default: list[str]) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from artifact.studies import (  # noqa: F401
     evaluated,
     fitted,
     mixed_database,
+    preview,
     protocol,
     recall,
     reported,

@@ -1,0 +1,173 @@
+"""``artifact evaluate`` of descriptors in files: R@K, DAR@K and RSR@K without a manifest."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from artifact import store
+from artifact.datasets import DatasetError
+from artifact.datasets.arrays import Descriptors, read_descriptors, read_positions, read_threshold
+from artifact.metrics.evaluate import evaluate
+from artifact.metrics.evaluation import Evaluation
+from artifact.metrics.statistics import intervals
+from artifact.ranking.one_pass import ORIGINAL
+from artifact.studies import preview
+from artifact.suppression.inlp import INLP
+from artifact.suppression.leace import LEACE
+from artifact.suppression.regions import split
+from artifact.suppression.std import STD
+
+QUERY, DATABASE = "query", "database"
+LEVELS = (1, 5, 10)
+
+
+class Images(NamedTuple):
+    """Descriptors ``(n, d)`` with positions ``(n, p)`` in ``unit``."""
+
+    descriptors: np.ndarray
+    positions: np.ndarray
+    unit: str
+
+
+def run(options: argparse.Namespace) -> Iterator[str]:
+    """Yield the lines of the evaluation that the options ask for.
+
+    Raises
+    ------
+    DatasetError
+        If a file is missing, cannot be read or does not fit the others.
+    """
+    if not (options.queries and options.database and options.threshold):
+        raise DatasetError("--queries and --database are files of descriptors and go together with --threshold")
+    queries = _images(options.queries, options.query_positions, "queries")
+    database = _images(options.database, options.database_positions, "database")
+    threshold = read_threshold(options.threshold)
+    _check(queries, database, threshold.unit)
+    pools = dict(_pool(text, queries) for text in options.distractors)
+    levels = options.k or LEVELS
+    facts = {"threshold": str(threshold), **preview.counts(queries.positions, database.positions, threshold.value)}
+    if not facts["evaluated"]:
+        raise DatasetError(f"{preview.in_words(facts)}: nothing can be evaluated; is the threshold in the right unit?")
+    try:
+        results = _evaluated(queries, database, pools, threshold.value, options)
+    except ValueError as error:
+        raise DatasetError(str(error)) from None
+    table = pd.DataFrame([row for name, result in results.items() for row in _rows(name, result, levels, options.seed)])
+    if options.per_query:
+        tables = [result.per_query().assign(what=name) for name, result in results.items()]
+        with store.replacing(options.per_query) as temporary:
+            pd.concat(tables).to_csv(temporary, index=False)
+    if options.json:
+        yield json.dumps({**facts, "results": table.to_dict("records")}, indent=1)
+        return
+    yield preview.in_words(facts)
+    yield _shown(table)
+
+
+def _images(file: Path, positions: Path | None, label: str) -> Images:
+    found: Descriptors = read_descriptors(file)
+    return Images(found.values, *read_positions(positions, found, label))
+
+
+def _pool(text: str, queries: Images) -> tuple[str, Images]:
+    name, equals, files = text.partition("=")
+    if not equals or not name or not files:
+        raise DatasetError(f"--distractors {text!r}: allowed: NAME=FILE or NAME=FILE,POSITIONS")
+    file, comma, positions = files.partition(",")
+    pool = _images(Path(file), Path(positions) if comma else None, f"distractors {name}")
+    if pool.unit != queries.unit or pool.positions.shape[1] != queries.positions.shape[1]:
+        raise DatasetError(f"--distractors {name}: positions in {pool.unit}, those of the queries in {queries.unit}")
+    return name, pool
+
+
+def _check(queries: Images, database: Images, unit: str) -> None:
+    if queries.unit != database.unit or queries.positions.shape[1] != database.positions.shape[1]:
+        raise DatasetError(
+            f"query positions are in {queries.unit} ({queries.positions.shape[1]} columns), database positions in "
+            f"{database.unit} ({database.positions.shape[1]} columns); both must be the same"
+        )
+    if (unit == "metres") != (queries.unit == "metres"):
+        raise DatasetError(f"the threshold is in {unit}, the positions are in {queries.unit}; write 25m or 2frames")
+
+
+def _evaluated(
+    queries: Images, database: Images, pools: dict[str, Images], threshold: float, options: argparse.Namespace
+) -> dict[str, Evaluation]:
+    """Results by what was done to the descriptors; with suppression on the evaluation region, else on everything."""
+    asked: Sequence[str] = options.suppress
+    distractors: dict[str, Any] = {}
+    if pools:
+        distractors = {
+            "distractors": {name: pool.descriptors for name, pool in pools.items()},
+            "distractor_positions": {name: pool.positions for name, pool in pools.items()},
+        }
+    if not asked:
+        result = evaluate(*_pair(queries, database), threshold, **distractors)
+        return _by_pool(ORIGINAL, result, pools)
+    region = split(queries.positions, database.positions, threshold, options.fraction)
+    fitted = [queries.descriptors[region.fit_queries], database.descriptors[region.fit_database]]
+    if min(map(len, fitted)) < 2:
+        raise DatasetError(
+            f"the fitting region has {len(fitted[0])} queries and {len(fitted[1])} database images; 2 of each are needed: "
+            f"raise --fraction"
+        )
+    X, condition = (
+        np.concatenate(fitted).astype(np.float32),
+        np.repeat([QUERY, DATABASE], [len(part) for part in fitted]),
+    )
+    queries = _part(queries, region.evaluation_queries)
+    database = _part(database, region.evaluation_database)
+    views: dict[str, Any] = {}
+    if "INLP" in asked:
+        views["INLP"] = INLP(seed=options.seed).fit(X, condition)
+    if "LEACE" in asked:
+        views["LEACE"] = LEACE().fit(X, condition)
+    result = evaluate(*_pair(queries, database), threshold, views=views, **distractors)
+    results = {}
+    for name in (ORIGINAL, *views):
+        results |= _by_pool(name, result[name], pools)
+    if "STD" in asked:
+        std = STD().fit(X, condition)
+        moved = queries._replace(descriptors=std.transform(queries.descriptors, QUERY))
+        against = database._replace(descriptors=std.transform(database.descriptors, DATABASE))
+        if pools:
+            parts = {name: std.transform(pool.descriptors, QUERY) for name, pool in pools.items()}
+            distractors = {**distractors, "distractors": parts}
+        results |= _by_pool("STD", evaluate(*_pair(moved, against), threshold, **distractors), pools)
+    return results
+
+
+def _part(images: Images, rows: np.ndarray) -> Images:
+    return images._replace(descriptors=images.descriptors[rows], positions=images.positions[rows])
+
+
+def _pair(queries: Images, database: Images) -> tuple[np.ndarray, ...]:
+    return queries.descriptors, database.descriptors, queries.positions, database.positions
+
+
+def _by_pool(name: str, result: Evaluation, pools: dict[str, Images]) -> dict[str, Evaluation]:
+    return {f"{name}, {pool}": result.pool(pool) for pool in pools} if pools else {name: result}
+
+
+def _rows(name: str, result: Evaluation, levels: Sequence[int], seed: int) -> Iterator[dict[str, Any]]:
+    for k in levels:
+        row: dict[str, Any] = {"what": name, "queries": result.n_queries, "K": k}
+        for metric, interval in intervals(result, k, seed=seed).items():
+            values = (interval.value, interval.low, interval.high)
+            row |= {f"{metric}{end}": 100 * value for end, value in zip(("", "_low", "_high"), values, strict=True)}
+        yield row
+
+
+def _shown(table: pd.DataFrame) -> str:
+    shown = table[["what", "queries", "K"]].copy()
+    for metric in ("R", "DAR", "RSR"):
+        parts = table[[metric, f"{metric}_low", f"{metric}_high"]].to_numpy()
+        shown[f"{metric}@K %"] = [f"{value:.2f} [{low:.1f}, {high:.1f}]" for value, low, high in parts]
+    return shown.to_string(index=False)

@@ -1,0 +1,67 @@
+"""A dataset at a glance: its traversals, where their images are, and how many positives a query has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from IPython.display import HTML
+from matplotlib.figure import Figure
+
+from artifact.datasets import Dataset
+from artifact.datasets.positives import positives_of
+from artifact.pages.common import markup, number, table
+from artifact.pages.style import DATABASE_COLOUR, QUERY_COLOUR, embed
+from artifact.studies.preview import in_words
+
+
+def traversals_table(frame: pd.DataFrame, unit: str) -> HTML:
+    """Show the traversals of a dataset; ``unit`` is that of their spacing."""
+    rows = [
+        {
+            "Traversal": row["traversal"],
+            "Condition": row["condition"],
+            "Use": row["use"],
+            "Images": row["images"],
+            f"Spacing ({unit})": number(row["spacing"]),
+            "Size": row["size"] or "–",
+            "Other sizes": "–" if row["size"] is None else row["other_sizes"],
+            "Modes": row["modes"] or "–",
+            "Brightness": number(row["brightness"], digits=2),
+        }
+        for row in frame.to_dict("records")
+    ]
+    caption = "Spacing: median between neighbours. Size, modes and brightness (0 to 1): of at most 25 images of each."
+    return table(rows, text=3, caption=caption)
+
+
+def facts(found: Mapping[str, Any]) -> HTML:
+    """Say how many queries can be evaluated and how many positives they have."""
+    return markup("<p>{}.</p>", in_words(dict(found)))
+
+
+def positions_figure(dataset: Dataset) -> HTML:
+    """Draw where query and database images are, and how many positives each query has.
+
+    Positions in metres are drawn as a map; frames and pairs as a line each, query above database.
+    """
+    figure = Figure(figsize=(8.0, 3.2))
+    where, positives = figure.subplots(1, 2)
+    for part, colour, height in ((dataset.database, DATABASE_COLOUR, 0.0), (dataset.query, QUERY_COLOUR, 1.0)):
+        x = part.positions[:, 0]
+        y = part.positions[:, 1] if part.positions.shape[1] > 1 else np.full(len(x), height)
+        where.plot(x, y, ".", color=colour, markersize=2.5, label=f"{part.name} ({len(part)})")
+    if dataset.query.positions.shape[1] > 1:
+        where.set_aspect("equal", adjustable="datalim")
+        where.set(xlabel="x (m)", ylabel="y (m)")
+    else:
+        where.set(xlabel=f"index ({dataset.unit})", yticks=[], ylim=(-1, 2))
+    where.legend(loc="best", fontsize=8)
+    counts = np.diff(positives_of(dataset.query.positions, dataset.database.positions, dataset.threshold)[0])
+    positives.plot(counts, color=QUERY_COLOUR, linewidth=0.9)
+    positives.set(xlabel="query", ylabel="positives", ylim=(0, None))
+    positives.grid(visible=True)
+    figure.tight_layout(w_pad=1.4)
+    return embed(figure, f"Positions of {dataset.title}, and the number of positives of each query")

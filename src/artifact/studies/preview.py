@@ -1,0 +1,110 @@
+"""A dataset at a glance: what to know of it before any result, and beside every result of an own one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from artifact import datasets as data
+from artifact.datasets import Traversal
+from artifact.datasets.appearance import measure
+from artifact.datasets.images import modes_and_sizes
+from artifact.datasets.positives import positives_of
+from artifact.manifest import Manifest
+
+_SAMPLE = 25  # images of a traversal that are opened
+
+
+def traversals_table(manifest: Manifest, name: str) -> pd.DataFrame:
+    """Describe every traversal of a dataset.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row per traversal: ``traversal``, ``condition``, ``use`` (query, database or further), ``images``, ``spacing``
+        (median distance between neighbours, in metres or frames), and of at most 25 evenly spaced images ``size`` (the most
+        common, width × height), ``other_sizes`` (how many differ), ``modes`` and ``brightness`` (mean, 0 to 1); these are
+        missing where only descriptors are at hand.
+    """
+    entry = manifest.dataset(name)
+    dataset = data.load(manifest, name, entry.traversals)
+    uses = {entry.database: "database", entry.query: "query"}
+    rows = []
+    for traversal in dataset.traversals.values():
+        steps = np.linalg.norm(np.diff(traversal.positions, axis=0), axis=1)
+        rows.append(
+            {
+                "traversal": traversal.name,
+                "condition": traversal.condition,
+                "use": uses.get(traversal.name, "further"),
+                "images": len(traversal),
+                "spacing": float(np.median(steps)) if len(steps) else np.nan,
+                **_of_images(traversal),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _of_images(traversal: Traversal) -> dict[str, Any]:
+    if not traversal.has_images:
+        return {"size": None, "other_sizes": None, "modes": None, "brightness": np.nan}
+    paths = traversal.image_paths()
+    sample = [paths[i] for i in np.unique(np.linspace(0, len(paths) - 1, min(_SAMPLE, len(paths))).astype(int))]
+    modes, sizes = modes_and_sizes(sample)
+    (width, height), most = Counter(sizes).most_common(1)[0]
+    return {
+        "size": f"{width} × {height}",
+        "other_sizes": len(sizes) - most,
+        "modes": ", ".join(sorted(set(modes))),
+        "brightness": float(np.mean([measure(path)[0] for path in sample])),
+    }
+
+
+def pair_facts(manifest: Manifest, name: str) -> dict[str, Any]:
+    """Say what the query–database pair of a dataset offers to evaluate.
+
+    Returns
+    -------
+    dict
+        ``threshold``, ``queries``, ``database``, ``evaluated`` (queries with a positive), ``excluded``, and of the evaluated
+        ones ``fewest``, ``median`` and ``most`` positives; ``nearest``: the least distance from a query to the database.
+    """
+    dataset = data.load(manifest, name)
+    query, database = dataset.query.positions, dataset.database.positions
+    return {"threshold": str(manifest.dataset(name).threshold), **counts(query, database, dataset.threshold)}
+
+
+def counts(query_positions: np.ndarray, database_positions: np.ndarray, threshold: float) -> dict[str, Any]:
+    """Count queries, evaluated queries and positives; see :func:`pair_facts`."""
+    number = np.diff(positives_of(query_positions, database_positions, threshold)[0])
+    found = number[number > 0]
+    fewest, median, most = np.percentile(found, [0, 50, 100]) if len(found) else (0, 0, 0)
+    return {
+        "queries": len(number),
+        "database": len(database_positions),
+        "evaluated": len(found),
+        "excluded": len(number) - len(found),
+        "fewest": int(fewest),
+        "median": float(median),
+        "most": int(most),
+        "nearest": data.positives.nearest_distance(query_positions, database_positions),
+    }
+
+
+def in_words(facts: dict[str, Any]) -> str:
+    """Return the facts of a pair as one sentence.
+
+    Examples
+    --------
+    >>> in_words({"threshold": "25 m", **counts(np.arange(4.0)[:, None] * 20, np.arange(3.0)[:, None] * 20, 25.0)})
+    '4 queries (all evaluated), 3 database images; positives within 25 m: 1 to 3 for a query, median 2.5'
+    """
+    some = f"{facts['evaluated']} evaluated, {facts['excluded']} without a positive"
+    evaluated = some if facts["excluded"] else "all evaluated"
+    start = f"{facts['queries']} queries ({evaluated}), {facts['database']} database images; positives within {facts['threshold']}"
+    if not facts["evaluated"]:
+        return f"{start}: none, the nearest database image is at {facts['nearest']:g}"
+    return f"{start}: {facts['fewest']} to {facts['most']} for a query, median {facts['median']:g}"

@@ -1,0 +1,310 @@
+"""Own images and own descriptors: from two folders or two files to numbers, as a new user types it."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from conftest import REPOSITORY, tiny_manifest, write_images, write_manifest
+
+from artifact import LEACE, STD, evaluate, split
+from artifact.commands.cli import assignments, main
+from artifact.datasets import DatasetError
+from artifact.datasets.arrays import read_descriptors, read_positions, read_threshold
+
+RNG = np.random.default_rng(0)
+
+
+def type_in(folder, *arguments):
+    """Run the command as a user does, in a folder; return its status and output."""
+    environment = {**os.environ, "ARTIFACT_CACHE": str(folder / ".cache"), "COLUMNS": "200"}
+    done = subprocess.run(
+        [sys.executable, "-m", "artifact", *arguments],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "Traceback" not in done.stderr
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.fixture
+def town(tmp_path):
+    """A folder with a manifest and two folders of photographs with awkward names."""
+    write_manifest(tmp_path, tiny_manifest())
+    write_images(tmp_path / "photos" / "night's $view", 24, seed=9, brightness=-50)
+    write_images(tmp_path / "photos" / "day time", 24, seed=9)
+    return tmp_path
+
+
+ADD = ("data", "add", "my_town", "--query", "photos/night's $view", "--database", "photos/day time/")
+
+
+# -- two folders of images ------------------------------------------------------------------------------------------
+
+
+def test_two_folders_become_a_dataset_by_one_command(town):
+    status, output = type_in(town, *ADD)
+    assert status == 0, output
+    assert "24 queries (all evaluated), 24 database images; positives within ±1 frame: 2 to 3" in output
+    written = yaml.safe_load((town / "my_town" / "dataset.yaml").read_text())
+    assert written["traversals"]["night_s_view"]["condition"] == "night's $view"
+    assert written["traversals"]["night_s_view"]["images"] == "../photos/night's $view"
+    page = (town / "my_town" / "preview.html").read_text()
+    assert "night&#39;s $view" in page
+    assert "<svg" in page or "data:image" in page
+    before = {path: path.read_bytes() for path in (town / "my_town").iterdir()}
+    assert type_in(town, *ADD)[0] == 0
+    assert before == {path: path.read_bytes() for path in (town / "my_town").iterdir()}
+    status, output = type_in(town, *ADD, "--threshold", "2frames")
+    assert status == 1
+    assert "says something else" in output
+
+
+def test_the_dataset_is_found_where_the_command_was_typed(town):
+    type_in(town, *ADD)
+    deeper = town / "deeper"
+    deeper.mkdir()
+    manifest = ("--manifest", "../data_manifest.yaml")
+    status, output = type_in(deeper, "evaluate", *manifest, "--datasets", "../my_town/", "--methods", "hog")
+    assert status == 0, output
+    assert "24 queries (all evaluated)" in output
+    assert "hog 100.00" in output
+    status, output = type_in(deeper, "evaluate", *manifest, "--datasets", "my_town/", "--methods", "hog")
+    assert status == 1
+    assert "no dataset 'my_town/'" in output
+
+
+def test_a_look_writes_nothing(town):
+    status, output = type_in(town, *ADD, "--dry-run")
+    assert status == 0
+    assert "nothing was written" in output
+    assert not (town / "my_town").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("--threshold", "5m"), "the threshold is in metres but the positions are the frame order"),
+        (("--threshold", "far"), "the threshold is 'far'; allowed: metres as 25m, frames as 2frames, or exact"),
+        (("--names",), "the name does not begin with @utm_east@utm_north@"),
+        (("--positions", "nowhere.csv"), "no file"),
+        (("--traversal", "photos"), "allowed: NAME=DIR"),
+        (("--traversal", "rain=photos/rain"), "no folder"),
+        (("--traversal", "day_time=photos/day time"), "every name must be there once"),
+    ],
+)
+def test_what_cannot_be_a_dataset_is_one_line_and_writes_nothing(town, change, message):
+    status, output = type_in(town, *ADD, *change)
+    assert status == 1
+    assert message in output
+    assert len(output.strip().splitlines()) <= 4
+    assert not (town / "my_town").exists()
+
+
+def test_positions_from_files_and_a_further_pool(town):
+    for part in ("night's $view", "day time"):
+        names = [path.name for path in sorted((town / "photos" / part).iterdir())]
+        rows = [f"{name},{int(name[5:-4]) * 10},0" for name in names]
+        (town / f"{part[:3]}.csv").write_text("image,x,y\n" + "\n".join(rows))
+    more = ("--positions", "nig.csv", "day.csv", "day.csv", "--traversal", "rain=photos/day time", "--threshold", "15m")
+    status, output = type_in(town, *ADD, *more)
+    assert status == 0, output
+    written = yaml.safe_load((town / "my_town" / "dataset.yaml").read_text())
+    assert written["threshold"] == {"value": 15.0, "unit": "metres"}
+    assert written["distractor_traversals"] == ["rain"]
+    assert written["traversals"]["rain"]["positions_file"] == "../day.csv"
+
+
+# -- parameters as they are typed -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", []),
+        ("k=5", ["k=5"]),
+        ('datasets=["my town", "b"]  k=5', ['datasets=["my town", "b"]', "k=5"]),
+        ("datasets=['it]s'] fig06.k=5", ["datasets=['it]s']", "fig06.k=5"]),
+        ('dataset="a $HOME b"', ['dataset="a $HOME b"']),
+    ],
+)
+def test_parameters_are_split_at_spaces_outside_quotes_and_brackets(text, parts):
+    assert assignments(text) == parts
+
+
+@pytest.mark.parametrize("name", ["my town", "it's", "a$b", "ä#%"])
+def test_make_hands_on_what_was_typed(name, tmp_path):
+    ready = tmp_path / ".venv" / "bin"
+    ready.mkdir(parents=True)
+    (ready / "python").write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')
+    (ready / "python").chmod(0o755)
+    for file in ("Makefile", "environment.txt", "pyproject.toml"):
+        (tmp_path / file).write_bytes((REPOSITORY / file).read_bytes())
+    (tmp_path / ".venv" / ".ready").touch()
+    typed = f'SET=datasets=["{name}"] k=5'
+    done = subprocess.run(["make", "reproduce", typed], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == f'datasets=["{name}"] k=5'
+    assert assignments(done.stdout.splitlines()[-1]) == [f'datasets=["{name}"]', "k=5"]
+
+
+# -- descriptors in files -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """Descriptors of 60 places under two conditions, with positions, in the folder where commands are typed."""
+    monkeypatch.chdir(tmp_path)
+    place = RNG.normal(size=(60, 32))
+    queries = place + RNG.normal(size=place.shape) * 0.6 + 2 * RNG.normal(size=32)
+    database = place + RNG.normal(size=place.shape) * 0.6
+    for name, values in (("q", queries), ("d", database)):
+        np.save(f"{name}.npy", values.astype(np.float32))
+        rows = "".join(f"{name}{i}.jpg,{i * 10},0\n" for i in range(60))
+        (tmp_path / f"{name}.csv").write_text(f"image,x,y\n{rows}")
+    return tmp_path
+
+
+FILES = (
+    "evaluate", "--queries", "q.npy", "--database", "d.npy", "--query-positions", "q.csv", "--database-positions", "d.csv",
+    "--threshold", "25",
+)  # fmt: skip
+
+
+def printed(capsys, *arguments):
+    assert main(list(arguments)) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def by_view(found, k=1):
+    return {row["what"]: row for row in found["results"] if row["K"] == k}
+
+
+def test_files_of_descriptors_give_what_the_library_gives(files, capsys):
+    arrays = np.load("q.npy"), np.load("d.npy")
+    where = np.column_stack([np.arange(60) * 10.0, np.zeros(60)])
+    expected = evaluate(*arrays, where, where, 25.0)
+    found = printed(capsys, *FILES, "--json", "--per-query", "out.csv")
+    assert (found["queries"], found["evaluated"], found["fewest"], found["most"]) == (60, 60, 3, 5)
+    for k in (1, 5, 10):
+        row = by_view(found, k)["original"]
+        assert row["R"] == pytest.approx(100 * expected.recall(k))
+        assert row["DAR"] == pytest.approx(100 * expected.dar(k))
+        assert row["DAR_low"] <= row["DAR"] <= row["DAR_high"]
+    table = pd.read_csv("out.csv")
+    assert len(table) == 60
+    assert (table["rank_with_distractors"] <= 1).mean() == pytest.approx(expected.dar(1))
+
+
+def test_suppression_is_fitted_in_the_centre_and_evaluated_elsewhere(files, capsys):
+    queries, database = np.load("q.npy"), np.load("d.npy")
+    where = np.column_stack([np.arange(60) * 10.0, np.zeros(60)])
+    region = split(where, where, 25.0, 0.2)
+    parts = queries[region.fit_queries], database[region.fit_database]
+    X, condition = np.concatenate(parts), np.repeat(["query", "database"], [len(part) for part in parts])
+    rest = queries[region.evaluation_queries], database[region.evaluation_database]
+    places = where[region.evaluation_queries], where[region.evaluation_database], 25.0
+    std = STD().fit(X, condition)
+    expected = {
+        "original": evaluate(*rest, *places).dar(1),
+        "LEACE": evaluate(*rest, *places, views={"LEACE": LEACE().fit(X, condition)})["LEACE"].dar(1),
+        "STD": evaluate(std.transform(rest[0], "query"), std.transform(rest[1], "database"), *places).dar(1),
+    }
+    found = by_view(printed(capsys, *FILES, "--suppress", "LEACE", "STD", "--fraction", "0.2", "--json"))
+    assert {name: row["DAR"] / 100 for name, row in found.items()} == pytest.approx(expected)
+    assert expected["LEACE"] > expected["original"]
+
+
+def test_pools_of_distractors(files, capsys):
+    found = by_view(
+        printed(capsys, *FILES, "--distractors", "same=q.npy,q.csv", "other=d.npy,d.csv", "--json", "--k", "1")
+    )
+    where = np.column_stack([np.arange(60) * 10.0, np.zeros(60)])
+    assert found["original, same"]["DAR"] == pytest.approx(
+        100 * evaluate(np.load("q.npy"), np.load("d.npy"), where, where, 25.0).dar(1)
+    )
+    assert found["original, other"]["DAR"] != found["original, same"]["DAR"]
+
+
+def test_the_formats_of_other_tools(files, capsys):
+    from safetensors.numpy import save_file
+
+    expected = by_view(printed(capsys, *FILES, "--json"))["original"]["DAR"]
+    queries, database = np.load("q.npy"), np.load("d.npy")
+    np.savez("q.npz", descriptors=queries, names=[f"q{i}.jpg" for i in range(60)])
+    save_file({"descriptors": database}, "d.safetensors")
+    other = ["q.npz" if a == "q.npy" else "d.safetensors" if a == "d.npy" else a for a in FILES]
+    assert by_view(printed(capsys, *other, "--json"))["original"]["DAR"] == expected
+    names = [f"@{i * 10}@0@{i}@.jpg" for i in range(60)]
+    (files / "names.txt").write_text("\n".join(names))
+    (files / "images").mkdir()
+    for name in names:
+        (files / "images" / name).touch()
+    other = ["names.txt" if a == "q.csv" else a for a in FILES]
+    assert by_view(printed(capsys, *other, "--json"))["original"]["DAR"] == expected
+    found = read_positions(files / "images", read_descriptors(files / "q.npy"), "queries")
+    assert sorted(found[0][:, 0].tolist()) == [i * 10.0 for i in range(60)]
+
+
+def test_an_hdf5_file_of_hloc(files, capsys):
+    h5py = pytest.importorskip("h5py")
+    expected = by_view(printed(capsys, *FILES, "--json"))["original"]["DAR"]
+    for part in ("q", "d"):
+        with h5py.File(f"{part}.h5", "w") as file:
+            for index, values in enumerate(np.load(f"{part}.npy")):
+                file.create_group(f"{part}{index}.jpg").create_dataset("global_descriptor", data=values)
+    other = [a.replace(".npy", ".h5") for a in FILES]
+    assert by_view(printed(capsys, *other, "--json"))["original"]["DAR"] == expected
+
+
+def write_text(name, text):
+    def write(folder):
+        (folder / name).write_text(text)
+
+    return write
+
+
+def save(name, values):
+    return lambda folder: np.save(folder / name, values)
+
+
+@pytest.mark.parametrize(
+    ("change", "message", "prepare"),
+    [
+        ({"q.npy": "nowhere.npy"}, "nowhere.npy: no such file", None),
+        ({"q.npy": "q.csv"}, "the ending is '.csv'", None),
+        ({"q.npy": "bad.npy"}, "bad.npy: cannot be read as .npy", write_text("bad.npy", "not an array")),
+        ({"q.npy": "bad.npz"}, "bad.npz: cannot be read as .npz", write_text("bad.npz", "no zip")),
+        ({"q.npy": "bad.safetensors"}, "cannot be read as .safetensors", write_text("bad.safetensors", "no")),
+        ({"q.npy": "flat.npy"}, "shape (5,); descriptors are floats of shape (n, d)", save("flat.npy", np.ones(5))),
+        ({"q.npy": "ints.npy"}, "descriptors are floats", save("ints.npy", np.ones((60, 32), int))),
+        ({"q.npy": "short.npy"}, "60 positions for 59 descriptors", save("short.npy", np.ones((59, 32), np.float32))),
+        ({"q.npy": "thin.npy"}, "d", save("thin.npy", np.ones((60, 31), np.float32))),
+        ({"q.csv": "nowhere.csv"}, "nowhere.csv: no such file", None),
+        ({"25": "2frames"}, "the threshold is in frames, the positions are in metres", None),
+        ({"25": "-3"}, "the threshold is '-3'", None),
+        ({"q.csv": "far.csv"}, "nothing can be evaluated", write_text("far.csv", "image,x,y\n" + "\n".join(f"{i},{i},9999" for i in range(60)))),
+    ],
+)  # fmt: skip
+def test_unusable_files_are_one_line(files, capsys, change, message, prepare):
+    if prepare:
+        prepare(files)
+    arguments = [change.get(argument, argument) for argument in FILES]
+    arguments = ["--threshold=" + arguments[-1] if a == "--threshold" else a for a in arguments[:-1]]
+    assert main(arguments) == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.startswith("error: ")
+    assert len(error.strip().splitlines()) == 1
+
+
+def test_thresholds():
+    assert str(read_threshold(" 25 m ")) == "25 m"
+    with pytest.raises(DatasetError, match="allowed: metres as 25m"):
+        read_threshold("25km")
