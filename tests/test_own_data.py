@@ -11,7 +11,7 @@ import pytest
 import yaml
 from conftest import REPOSITORY, tiny_manifest, write_images, write_manifest
 
-from artifact import LEACE, STD, evaluate, split
+from artifact import INLP, LEACE, STD, evaluate, split
 from artifact.commands.cli import assignments, main
 from artifact.datasets import DatasetError
 from artifact.datasets.arrays import read_descriptors, read_positions, read_threshold
@@ -302,6 +302,35 @@ def test_unusable_files_are_one_line(files, capsys, change, message, prepare):
     assert message in error
     assert error.startswith("error: ")
     assert len(error.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("method", ["INLP", "LEACE", "STD"])
+def test_transforms_are_fitted_saved_and_applied(files, capsys, method):
+    assert (
+        main(["suppress", "fit", "--queries", "q.npy", "--database", "d.npy", "--method", method, "--save", "t.npz"])
+        == 0
+    )
+    which = ["--condition", "query"] if method == "STD" else []
+    assert main(["suppress", "apply", "t.npz", "q.npy", "out.npy", *which]) == 0
+    assert "out.npy: 60 descriptors of 32 values" in capsys.readouterr().out
+    X, condition = np.concatenate([np.load("q.npy"), np.load("d.npy")]), np.repeat(["query", "database"], 60)
+    fitted = {"INLP": INLP(), "LEACE": LEACE(), "STD": STD()}[method].fit(X, condition)
+    expected = fitted.transform(np.load("q.npy"), *(["query"] if which else []))
+    np.testing.assert_allclose(np.load("out.npy"), expected, atol=1e-6)
+
+
+def test_a_transform_that_cannot_be_applied_writes_nothing(files, capsys):
+    np.save("thin.npy", np.ones((3, 31), np.float32))
+    STD().fit(np.load("q.npy"), np.repeat(["query", "database"], 30)).save("std.npz")
+    for arguments, message in (
+        (("std.npz", "q.npy", "out.npy"), "STD needs --condition; the conditions are database, query"),
+        (("std.npz", "thin.npy", "out.npy", "--condition", "query"), "this transform was fitted on (n, 32)"),
+        (("q.npy", "q.npy", "out.npy"), "q.npy: no saved transform"),
+        (("std.npz", "q.npy", "out.txt"), "the ending is '.txt'"),
+    ):
+        assert main(["suppress", "apply", *arguments]) == 1
+        assert message in capsys.readouterr().err
+    assert not (files / "out.npy").exists()
 
 
 def test_thresholds():

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sklearn.svm import LinearSVC
 
-from artifact.suppression.probe import probe_accuracy, probe_split
+import artifact
+from artifact.suppression.probe import probe_on, probe_split
 from artifact.suppression.regions import fit_region, split
 
 
@@ -89,19 +91,27 @@ def test_fractions_that_overlap_are_named():
 
 
 @settings(max_examples=200, deadline=None)
-@given(st.integers(0, 10_000), st.integers(8, 60), st.integers(8, 90))
-def test_probe_halves_are_balanced_and_apart(seed, n, m):
+@given(st.integers(0, 10_000), st.integers(8, 60), st.integers(8, 90), st.sampled_from([0.0, 5.0, 60.0]))
+def test_probe_halves_are_balanced_and_apart(seed, n, m, threshold):
     rng = np.random.default_rng(seed)
     queries = np.column_stack([rng.uniform(0, 500, n), rng.uniform(0, 80, n)])
     database = np.column_stack([rng.uniform(0, 500, m), rng.uniform(0, 80, m)])
     along = np.linalg.svd(queries - queries.mean(axis=0), full_matrices=False)[2][0]
-    cut = np.median((queries - queries.mean(axis=0)) @ along)
-    behind = int(((database - queries.mean(axis=0)) @ along <= cut).sum())
-    if min(behind, m - behind) < 2:
+    places = [(part - queries.mean(axis=0)) @ along for part in (queries, database)]
+    cut = np.median(places[0])
+    sizes = [(part <= cut - threshold / 2).sum() for part in places] + [
+        (part > cut + threshold / 2).sum() for part in places
+    ]
+    if min(sizes) < 2:
         with pytest.raises(ValueError, match="two of each"):
-            probe_split(queries, database, seed)
+            probe_split(queries, database, threshold, seed)
         return
-    rows = probe_split(queries, database, seed)
+    rows = probe_split(queries, database, threshold, seed)
+    assert len(rows.train_queries) == min(sizes[:2])
+    assert len(rows.test_queries) == min(sizes[2:])
+    trained = np.concatenate([queries[rows.train_queries], database[rows.train_database]])
+    tested = np.concatenate([queries[rows.test_queries], database[rows.test_database]])
+    assert np.linalg.norm(trained[:, None] - tested, axis=2).min() > threshold
     assert len(rows.train_queries) == len(rows.train_database) >= 2
     assert len(rows.test_queries) == len(rows.test_database) >= 2
     assert not set(rows.train_queries) & set(rows.test_queries)
@@ -112,7 +122,41 @@ def test_the_probe_finds_a_linear_condition_and_only_that():
     rng = np.random.default_rng(3)
     where = np.column_stack([np.arange(200.0), np.zeros(200)])
     queries, database = rng.standard_normal((2, 200, 10))
-    rows = probe_split(where, where)
-    assert abs(probe_accuracy(queries, database, rows) - 0.5) < 0.12
+    assert abs(artifact.probe(queries, database, where, where, 5.0).accuracy - 0.5) < 0.12
     queries[:, 4] += 4
-    assert probe_accuracy(queries, database, rows) > 0.95
+    assert artifact.probe(queries, database, where, where, 5.0).accuracy > 0.95
+    found = artifact.probe(
+        queries,
+        database,
+        where,
+        where,
+        5.0,
+        transform=lambda block, name: block - 4 * (name == "query") * np.eye(10)[4],
+    )
+    assert abs(found.accuracy - 0.5) < 0.12
+
+
+@pytest.mark.parametrize(("n", "d"), [(40, 300), (150, 120), (30, 31)])
+def test_the_probe_is_the_default_classifier_whatever_the_shape(n, d):
+    """Fewer rows than columns are classified by the factor of their Gram matrix: the same classifier."""
+    rng = np.random.default_rng(n)
+    where = np.column_stack([np.arange(2.0 * n), np.zeros(2 * n)])
+    queries, database = rng.standard_normal((2, 2 * n, d)).astype(np.float32)
+    queries += 0.15
+    rows = probe_split(where, where, 3.0)
+    labels = np.repeat([0, 1], len(rows.train_queries))
+    train = np.concatenate([queries[rows.train_queries], database[rows.train_database]])
+    test = np.concatenate([queries[rows.test_queries], database[rows.test_database]])
+    plain = LinearSVC(random_state=0).fit(train.astype(np.float64), labels)
+    found = probe_on(queries, database, rows)
+    expected = plain.score(test.astype(np.float64), np.repeat([0, 1], len(rows.test_queries)))
+    assert abs(found.accuracy - expected) <= 1 / len(test)
+    assert found.converged == (plain.n_iter_ < plain.max_iter)
+
+
+def test_a_probe_that_does_not_converge_says_so():
+    rng = np.random.default_rng(0)
+    where = np.column_stack([np.arange(400.0), np.zeros(400)])
+    queries = rng.standard_normal((400, 420))
+    assert not artifact.probe(queries, queries + 0.01 * rng.standard_normal((400, 420)), where, where, 2.0).converged
+    assert artifact.probe(queries + 1, queries - 1, where, where, 2.0).converged

@@ -14,8 +14,7 @@ from sklearn.exceptions import ConvergenceWarning, NotFittedError
 from sklearn.linear_model import LogisticRegression, SGDClassifier
 from sklearn.metrics import balanced_accuracy_score
 
-from artifact import INLP, LEACE, STD, compose, evaluate
-from artifact.suppression import lowrank
+from artifact import INLP, LEACE, STD, compose, evaluate, load_transform
 from artifact.suppression.inlp import _coordinates
 from artifact.suppression.lowrank import LowRankMap
 
@@ -33,6 +32,28 @@ def labelled(n, d, conditions, seed=0, shift=0.8):
     mixing = rng.standard_normal((d, d)) / np.sqrt(d) + np.eye(d)
     X = rng.standard_normal((n, d)) @ mixing + shift * rng.standard_normal((conditions, d))[condition] + 0.3
     return X, condition
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("shift", [0.1, 3.0, 100.0])
+@pytest.mark.parametrize(("n", "d"), [(60, 200), (500, 64), (200, 2000)])
+def test_leace_fitted_on_its_own_output_changes_nothing(n, d, shift, dtype):
+    X, condition = labelled(n, d, 2, shift=shift)
+    erased = LEACE().fit(X.astype(dtype), condition).transform(X.astype(dtype))
+    again = LEACE().fit(erased, condition)
+    assert again.map_.rank == 0
+    np.testing.assert_array_equal(again.transform(erased), erased)
+
+
+def test_leace_erases_a_condition_that_is_weak_but_real():
+    rng = np.random.default_rng(0)
+    condition = np.arange(20_000) % 2
+    X = rng.standard_normal((20_000, 16)).astype(np.float32)
+    X[:, 3] += 1e-3 * condition
+    fitted = LEACE().fit(X, condition)
+    assert fitted.map_.rank == 1
+    means = class_means(fitted.transform(X).astype(np.float64), condition)
+    assert np.abs(means[0] - means[1]).max() < 1e-6
 
 
 def one_hot(condition):
@@ -293,10 +314,21 @@ def test_what_cannot_be_composed():
 def test_transforms_are_stored_under_their_key(tmp_path):
     X, condition = labelled(60, 9, 2)
     fitted = LEACE().fit(X, condition)
-    lowrank.save(fitted, tmp_path / "leace.npz", {"key": "abc", "fitted_on": "street"})
-    np.testing.assert_array_equal(lowrank.load(tmp_path / "leace.npz", "abc").transform(X), fitted.transform(X))
-    assert lowrank.load(tmp_path / "leace.npz", "other") is None
-    assert lowrank.load(tmp_path / "none.npz", "abc") is None
+    fitted.map_.save(tmp_path / "leace.npz")
+    np.testing.assert_array_equal(load_transform(tmp_path / "leace.npz").transform(X), fitted.transform(X))
+    std = STD().fit(X, condition)
+    std.save(tmp_path / "std.npz")
+    np.testing.assert_array_equal(
+        load_transform(tmp_path / "std.npz").transform(X, condition), std.transform(X, condition)
+    )
+    np.savez(tmp_path / "other.npz", left=X)
+    np.savez(tmp_path / "bad.npz", kind="low-rank", left=X, right=X[1:], offset=np.zeros(3))
+    (tmp_path / "text.npz").write_text("no archive")
+    for name, message in (("none", "no saved"), ("other", "no saved"), ("text", "no saved"), ("bad", "do not fit")):
+        with pytest.raises(ValueError, match=message):
+            load_transform(tmp_path / f"{name}.npz")
+    with pytest.raises(ValueError, match="the ending is '.txt'"):
+        fitted.map_.save(tmp_path / "map.txt")
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from artifact.suppression.inlp import INLP
     from artifact.suppression.leace import LEACE
     from artifact.suppression.lowrank import LowRankMap, compose
+    from artifact.suppression.probe import probe
     from artifact.suppression.regions import fit_region, split
+    from artifact.suppression.saved import load_transform
     from artifact.suppression.std import STD
 
 __version__ = "1.0.0"
@@ -33,7 +35,9 @@ __all__ = [
     "compose",
     "evaluate",
     "fit_region",
+    "load_transform",
     "methods",
+    "probe",
     "split",
 ]
 
@@ -42,7 +46,9 @@ _HOMES = {
     "suppression.leace": ["LEACE"],
     "suppression.std": ["STD"],
     "suppression.lowrank": ["LowRankMap", "compose"],
+    "suppression.probe": ["probe"],
     "suppression.regions": ["fit_region", "split"],
+    "suppression.saved": ["load_transform"],
     "metrics.evaluate": ["evaluate"],
     "metrics.evaluation": ["Evaluation"],
 }

@@ -113,6 +113,8 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--methods", nargs="+", help="names (default: those of the profile)")
     sub.add_argument("--k", type=int, nargs="+", default=[], help="K (default: 1; for files 1, 5 and 10)")
     _descriptor_files(sub)
+    sub = command("suppress", _suppress("fit"), "fit a suppression transform on descriptors in files, or apply one")
+    _suppress_options(sub)
     sub = command(
         "verify",
         _verify,
@@ -178,6 +180,35 @@ def _add_options(sub: argparse.ArgumentParser) -> None:
     where.add_argument("--order", action="store_true", help="the n-th images of all folders show the same place")
     add.add_argument("--threshold", metavar="T", help="25m, 2frames or exact (default: 25m, or 1frame without metres)")
     add.add_argument("--dry-run", action="store_true", help="look only, write nothing")
+
+
+def _suppress_options(sub: argparse.ArgumentParser) -> None:
+    """Options of ``suppress fit`` and ``suppress apply``."""
+    actions = sub.add_subparsers(required=True, metavar="action")
+    text = "fit on the descriptors of two conditions and save the transform"
+    fit = actions.add_parser("fit", help=text, description=text)
+    fit.set_defaults(command=_suppress("fit"))
+    fit.add_argument("--queries", type=Path, required=True, metavar="FILE", help=".npy, .npz, .safetensors or .h5")
+    fit.add_argument("--database", type=Path, required=True, metavar="FILE", help="the same of the database")
+    fit.add_argument("--method", choices=("INLP", "LEACE", "STD"), default="LEACE", help="(default: LEACE)")
+    fit.add_argument("--seed", type=int, default=0, help="seed of INLP (default: 0)")
+    fit.add_argument("--save", type=Path, required=True, metavar="FILE.npz", help="where to write it")
+    text = "apply a saved transform to descriptors"
+    apply = actions.add_parser("apply", help=text, description=text)
+    apply.set_defaults(command=_suppress("apply"))
+    apply.add_argument("transform", type=Path, metavar="FILE.npz")
+    apply.add_argument("descriptors", type=Path, metavar="FILE")
+    apply.add_argument("out", type=Path, metavar="OUT.npy")
+    apply.add_argument("--condition", choices=("query", "database"), help="of the descriptors; STD needs it")
+
+
+def _suppress(action: str) -> Callable[[argparse.Namespace], None]:
+    def run(options: argparse.Namespace) -> None:
+        from artifact.commands import suppress
+
+        _print(getattr(suppress, action)(options))
+
+    return run
 
 
 def _add(options: argparse.Namespace) -> None:

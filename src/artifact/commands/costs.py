@@ -223,8 +223,10 @@ def _suppression(pair: Pair, rates: Mapping[str, float]) -> Iterator[Step]:
     )
     rows = min(region.queries, region.database)  # of both conditions in one half, to train on; as many to test on
     rate = rates["probe_dual" if rows < pair.dimension else "probe_primal"]
-    # float64 to train and test, and the solver's copy with an index for each value; region before and after
-    yield Step("probe", rows * pair.dimension * rate, _PROCESS + 32.0 * rows * pair.dimension + 5 * region.bytes)
+    # The training images, transformed; with fewer of them than columns the factor of their Gram matrix, its copy and the
+    # solver's with an index for each value that is not zero, else float64 and the solver's copy of the images themselves.
+    solver = 24.0 * rows**2 if rows < pair.dimension else 24.0 * rows * pair.dimension
+    yield Step("probe", rows * pair.dimension * rate, _PROCESS + 4.0 * rows * pair.dimension + solver)
     if pair.embedded:
         epochs = _UMAP_EPOCHS if region.images <= _UMAP_MANY else _UMAP_FEW_EPOCHS
         seconds = 2 * region.images * epochs * rates["umap"]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from artifact.metrics.evaluation import QUERY_POOL, Evaluation, _is_integer
+from artifact.metrics.evaluation import NO_POOL, QUERY_POOL, Evaluation, _is_integer
 from artifact.ranking.one_pass import ImageSet, LowRank, Options, Similarity, rank, squared_norms
 
 _UNIT_TOLERANCE = 1e-3
@@ -45,7 +45,7 @@ def evaluate(
         distractor. Same unit as the positions.
     distractors, distractor_positions
         Distractor pool, or several by name. ``None`` takes the evaluated queries themselves, the paper's main
-        setting.
+        setting; ``{}`` takes none at all: DAR@K then is R@K.
     views
         Suppression transforms to evaluate in the same pass, by name.
     similarity
@@ -100,7 +100,7 @@ def evaluate(
         database_positions=database_set.positions,
         pool_positions={name: evaluated if pool is None else pool.positions for name, pool in pools.items()},
         threshold=threshold,
-        pool_name=next(iter(pools)),
+        pool_name=next(iter(pools), NO_POOL),
     )
 
 
@@ -121,16 +121,18 @@ def _named_pools(distractors: Any, positions: Any) -> dict[str, tuple[Any, Any]]
         if positions is not None:
             raise ValueError("distractor_positions are given without distractors")
         return {QUERY_POOL: (None, None)}
+    if isinstance(distractors, Mapping) and not distractors and not positions:
+        return {}
     if positions is None:
         raise ValueError("distractors are given without distractor_positions")
     if isinstance(distractors, Mapping) != isinstance(positions, Mapping):
         raise TypeError("distractors and distractor_positions must both be arrays or both be mappings by name")
     if not isinstance(distractors, Mapping):
         return {"distractors": (distractors, positions)}
-    if not distractors or set(distractors) != set(positions):
+    if set(distractors) != set(positions):
         raise ValueError(
             f"distractors are named {sorted(distractors)}, distractor_positions {sorted(positions)}; "
-            f"both need the same names, at least one"
+            f"both need the same names"
         )
     return {name: (distractors[name], positions[name]) for name in distractors}
 

@@ -12,12 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 from scipy.special import gammaln
 
 from artifact.ranking.counting import Counts
 from artifact.ranking.one_pass import ORIGINAL, Ranking
 
 QUERY_POOL = "queries"
+NO_POOL = "none"
 Ties = Literal["for", "against"]
 
 
@@ -70,7 +72,7 @@ class Evaluation:
     @property
     def n_distractors(self) -> int:
         """Number of images in the distractor pool, N_D; each query may use those beyond the threshold."""
-        return self.ranking.pool_sizes[self.pool_name]
+        return self.ranking.pool_sizes.get(self.pool_name, 0)
 
     @property
     def views(self) -> list[str]:
@@ -103,6 +105,9 @@ class Evaluation:
     @property
     def distractor_counts(self) -> Counts:
         """Counts over the allowed distractors."""
+        if self.pool_name == NO_POOL:
+            depth, draws = self.database_counts.farthest.shape[1], self.database_counts.first.shape[2]
+            return Counts.empty(self.n_queries, depth, draws, self.database_counts.top_index.shape[1])
         return self.ranking.pools[self.view, self.pool_name]
 
     def ranks(self, *, distractors: bool, ties: Ties = "for") -> np.ndarray:
@@ -116,11 +121,11 @@ class Evaluation:
             ``"for"`` the query: only images strictly above the best positive count. ``"against"`` it: images
             level with it count too.
         """
-        ranks = 1 + self.database_counts.beaters
+        ranks = 1 + self.database_counts.outranking
         if ties == "against":
             ranks = ranks + self.database_counts.ties
         if distractors:
-            ranks = ranks + self.distractor_counts.beaters
+            ranks = ranks + self.distractor_counts.outranking
             if ties == "against":
                 ranks = ranks + self.distractor_counts.ties
         return ranks
@@ -128,6 +133,33 @@ class Evaluation:
     def hits(self, k: int = 1, *, distractors: bool, ties: Ties = "for") -> np.ndarray:
         """Return ``(n,)`` bool: whether a positive is among the top K."""
         return self.ranks(distractors=distractors, ties=ties) <= _checked_k(k)
+
+    def per_query(self) -> pd.DataFrame:
+        """Return one row for each evaluated query.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``query``: its index among those given; ``rank`` and ``rank_with_distractors`` of its best positive (1 is the top
+            match; ties favour the query); ``ties`` and ``ties_with_distractors``: images exactly level with it;
+            ``best_positive``: its database index, the first of several; ``distance`` from the query to it, in the unit of the
+            positions.
+        """
+        ranks = {
+            added: [self.ranks(distractors=added, ties=ties) for ties in ("for", "against")] for added in (False, True)
+        }
+        best = self.database_counts.positive
+        return pd.DataFrame(
+            {
+                "query": self.evaluated,
+                "rank": ranks[False][0],
+                "rank_with_distractors": ranks[True][0],
+                "ties": ranks[False][1] - ranks[False][0],
+                "ties_with_distractors": ranks[True][1] - ranks[True][0],
+                "best_positive": best,
+                "distance": np.linalg.norm(self.query_positions - self.database_positions[best], axis=1),
+            }
+        )
 
     # -- metrics --------------------------------------------------------------------------------------------
 
@@ -150,7 +182,7 @@ class Evaluation:
         """Return the expected DAR@K when only a share of the distractor pool is used (paper Fig. 6a).
 
         For ratio r, m = round(r N_D) pool images are drawn without replacement. Of the m drawn, the number that
-        beats query i's best positive is hypergeometric, so the expectation over all draws is exact.
+        outranks query i's best positive is hypergeometric, so the expectation over all draws is exact.
 
         Parameters
         ----------
@@ -168,9 +200,9 @@ class Evaluation:
 
     def chances_by_ratio(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
         """Return each query's chance of a hit at the ratios of :meth:`dar_by_ratio`, ``(n, len(ratios))``."""
-        spare = _checked_k(k) - 1 - self.database_counts.beaters
-        beaters = self.distractor_counts.beaters
-        chances = [_at_most(spare, self.n_distractors, beaters, int(size)) for size in self._sizes(ratios)]
+        spare = _checked_k(k) - 1 - self.database_counts.outranking
+        outranking = self.distractor_counts.outranking
+        chances = [_at_most(spare, self.n_distractors, outranking, int(size)) for size in self._sizes(ratios)]
         return np.stack(chances, axis=1) if chances else np.empty((self.n_queries, 0))
 
     def dar_by_ratio_draws(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
@@ -237,7 +269,7 @@ class Evaluation:
             raise ValueError(f"view {self.view!r} was evaluated without its sweeps: pass view_sweeps=True to evaluate")
         if _checked_k(k) > depth:
             raise ValueError(f"k is {k}; this evaluation keeps sweeps for K up to {depth}: raise the option depth")
-        return np.clip(k - self.database_counts.beaters, 0, k)
+        return np.clip(k - self.database_counts.outranking, 0, k)
 
     # -- retrieval lists ------------------------------------------------------------------------------------
 
@@ -277,16 +309,16 @@ class Evaluation:
         return indices[:, :k], similarities[:, :k]
 
 
-def _at_most(spare: np.ndarray, pool: int, beaters: np.ndarray, size: int) -> np.ndarray:
-    """Probability that at most ``spare`` of the beaters are among ``size`` images drawn from a pool of ``pool``."""
+def _at_most(spare: np.ndarray, pool: int, outranking: np.ndarray, size: int) -> np.ndarray:
+    """Probability that at most ``spare`` of the outranking are among ``size`` images drawn from a pool of ``pool``."""
 
     def log_choose(n: np.ndarray, k: np.ndarray) -> np.ndarray:
         return gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1)
 
-    total = np.zeros(len(beaters))
+    total = np.zeros(len(outranking))
     for drawn in range(int(spare.max(initial=-1)) + 1):
-        possible = (drawn <= spare) & (drawn <= beaters) & (drawn <= size) & (size - drawn <= pool - beaters)
-        n = beaters[possible]
+        possible = (drawn <= spare) & (drawn <= outranking) & (drawn <= size) & (size - drawn <= pool - outranking)
+        n = outranking[possible]
         log_probability = (
             log_choose(n, drawn) + log_choose(pool - n, size - drawn) - log_choose(np.float64(pool), np.float64(size))
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from artifact import store
 from artifact.manifest import Manifest
-from artifact.metrics.evaluation import QUERY_POOL, Evaluation
+from artifact.metrics.evaluation import NO_POOL, Evaluation
 from artifact.ranking.counting import Counts
 from artifact.ranking.one_pass import Ranking
 
@@ -108,5 +108,5 @@ def unpacked(arrays: dict[str, np.ndarray]) -> Evaluation:
         database_positions=arrays["database_positions"],
         pool_positions={pool: arrays[f"pool_positions/{p}"] for p, pool in enumerate(pools)},
         threshold=float(arrays["threshold"]),
-        pool_name=pools[0] if pools else QUERY_POOL,
+        pool_name=pools[0] if pools else NO_POOL,
     )

@@ -43,7 +43,9 @@ def improved_table(frame: pd.DataFrame, *, k: int = 1) -> HTML:
                 paper = expected.loc[(quantity, suppressor)]
                 cells[f"{heading}, paper"] = f"{paper['improved']} / {paper['pairs']}"
         rows.append(cells)
-    caption = "Method–dataset pairs that improve. The paper's pairs are other methods on other datasets."
+    known = frame[frame["reported_as"].notna() & frame["method"].isin(reported.method_titles())]
+    both = len(known.drop_duplicates(["dataset", "method"]))
+    caption = f"Method–dataset pairs that improve. Of the paper's 54 pairs, {both or 'none'} were measured here."
     return table(rows, text=1, caption=caption)
 
 
@@ -68,6 +70,9 @@ def suppression_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int 
         "Original descriptors in percent, changes in percentage points. Fitted on: queries + database images of the "
         "fitting region."
     )
+    unconverged = int((~frame["probe_converged"]).sum())
+    if unconverged:
+        caption += f" Of {len(frame)} probes, {unconverged} did not converge within scikit-learn's default of 1,000 iterations."
     return table(rows, text=2, caption=caption)
 
 

@@ -55,19 +55,22 @@ class Counts(NamedTuple):
     ----------
     best
         ``(n,)`` float32, similarity of the best positive.
-    beaters, ties
+    positive
+        ``(n,)`` int64, database index of the best positive, the first of several; -1 in the counts of a pool.
+    outranking, ties
         ``(n,)`` int64, images strictly above ``best`` and, among the others that are not positives, equal to it.
     farthest
-        ``(n, depth)`` float64, distances of the farthest beaters, descending; ``-inf`` where there are fewer.
+        ``(n, depth)`` float64, distances of the farthest outranking, descending; ``-inf`` where there are fewer.
     first
-        ``(n, depth, draws)`` int32, smallest places of the beaters in each random order, ascending; the largest
+        ``(n, depth, draws)`` int32, smallest places of the outranking in each random order, ascending; the largest
         int32 where there are fewer.
     top_similarity, top_index
         ``(n, k)`` the most similar images, descending; ``-inf`` and -1 where there are fewer.
     """
 
     best: np.ndarray
-    beaters: np.ndarray
+    positive: np.ndarray
+    outranking: np.ndarray
     ties: np.ndarray
     farthest: np.ndarray
     first: np.ndarray
@@ -79,7 +82,8 @@ class Counts(NamedTuple):
         """Return counts of nothing for ``n`` queries."""
         return cls(
             best=np.full(n, -np.inf, np.float32),
-            beaters=np.zeros(n, np.int64),
+            positive=np.full(n, -1, np.int64),
+            outranking=np.zeros(n, np.int64),
             ties=np.zeros(n, np.int64),
             farthest=np.full((n, depth), -np.inf),
             first=np.full((n, depth, draws), np.iinfo(np.int32).max, np.int32),
@@ -144,7 +148,7 @@ def database_rows(tile, groups, counts):
     """
     values, correction, scale, bias, offset, _ = tile
     starts, positives = groups
-    best, beaters, ties = counts.best, counts.beaters, counts.ties
+    best, outranking, ties = counts.best, counts.outranking, counts.ties
     top_similarity, top_index = counts.top_similarity, counts.top_index
     columns = values.shape[1]
     similarity = np.empty(columns, np.float32)
@@ -153,16 +157,18 @@ def database_rows(tile, groups, counts):
     for row in range(values.shape[0]):
         _similarities(values[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
         query = offset + row
-        level = np.float32(-np.inf)
+        level, winner = np.float32(-np.inf), -1
         for entry in range(starts[query], starts[query + 1]):
-            level = max(level, similarity[positives[entry]])
+            if similarity[positives[entry]] > level:
+                level, winner = similarity[positives[entry]], positives[entry]
         above, equal = 0, 0
         for column in range(columns):
             above += similarity[column] > level
             equal += similarity[column] == level
         for entry in range(starts[query], starts[query + 1]):
             equal -= similarity[positives[entry]] == level
-        best[query], beaters[query], ties[query] = level, above, equal
+        best[query], outranking[query], ties[query] = level, above, equal
+        counts.positive[query] = winner
         if top:
             for column in range(columns):
                 if similarity[column] > top_similarity[query, top - 1]:
@@ -178,7 +184,7 @@ def pool_counts(tile, groups, counts):
     """
     values, correction, scale, bias, offset, first_column = tile
     starts, near = groups
-    best, beaters, ties = counts.best, counts.beaters, counts.ties
+    best, outranking, ties = counts.best, counts.outranking, counts.ties
     columns = values.shape[1]
     similarity = np.empty(columns, np.float32)
     nothing = np.empty(0, np.float32)
@@ -195,7 +201,7 @@ def pool_counts(tile, groups, counts):
             if 0 <= column < columns:
                 above -= similarity[column] > level
                 equal -= similarity[column] == level
-        beaters[query] += above
+        outranking[query] += above
         ties[query] += equal
 
 
@@ -222,7 +228,7 @@ def pool_rows(tile, places, orders, earliest, counts):
     """
     matrix, correction, scale, bias, offset, first_column = tile
     positions, pool_positions, threshold = places
-    best, beaters, ties, farthest, first, top_similarity, top_index = counts
+    best, _, outranking, ties, farthest, first, top_similarity, top_index = counts
     columns = matrix.shape[1]
     similarity = np.empty(columns, np.float32)
     nothing = np.empty(0, np.float32)
@@ -254,13 +260,13 @@ def pool_rows(tile, places, orders, earliest, counts):
             shown = top_similarity[query, top - 1] if top else np.float32(np.inf)
             for place in range(values.size):
                 allowed = apart[place] > threshold
-                beats = allowed & (values[place] > level)
-                above += beats
+                outranks = allowed & (values[place] > level)
+                above += outranks
                 equal += allowed & (values[place] == level)
-                farther += beats & (apart[place] > limit)
-                earlier += beats & (earliest[image + place] < latest)
+                farther += outranks & (apart[place] > limit)
+                earlier += outranks & (earliest[image + place] < latest)
                 higher += allowed & (values[place] > shown)
-            beaters[query] += above
+            outranking[query] += above
             ties[query] += equal
             if farther:
                 for place in range(values.size):

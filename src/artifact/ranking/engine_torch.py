@@ -97,7 +97,12 @@ def database_rows(similarity: torch.Tensor, offset: int, groups: Groups, counts:
     equal = (similarity == level[:, None]).sum(1)
     equal -= torch.zeros_like(equal).scatter_add_(0, owner, (values == level[owner]).to(equal.dtype))
     counts.best[rows] = level.cpu().numpy()
-    counts.beaters[rows] = (similarity > level[:, None]).sum(1).cpu().numpy()
+    # The first of several equal ones, as on the CPU.
+    first = torch.full((similarity.shape[0],), similarity.shape[1], dtype=torch.int64, device=similarity.device)
+    at_best = values == level[owner]
+    columns = torch.from_numpy(entries).to(similarity.device)
+    counts.positive[rows] = first.scatter_reduce_(0, owner[at_best], columns[at_best], "amin").cpu().numpy()
+    counts.outranking[rows] = (similarity > level[:, None]).sum(1).cpu().numpy()
     counts.ties[rows] = equal.cpu().numpy()
     _merge_top(counts, rows, similarity, 0)
 
@@ -117,15 +122,15 @@ def pool_rows(
         squared += difference * difference
     distance = squared.sqrt_()
     allowed = distance > places.threshold
-    beats = allowed & (similarity > level)
-    counts.beaters[rows] += beats.sum(1).cpu().numpy()
+    outranks = allowed & (similarity > level)
+    counts.outranking[rows] += outranks.sum(1).cpu().numpy()
     counts.ties[rows] += (allowed & (similarity == level)).sum(1).cpu().numpy()
     depth = min(counts.farthest.shape[1], similarity.shape[1])
-    found = distance.masked_fill_(~beats, -torch.inf).topk(depth, dim=1).values.cpu().numpy()
+    found = distance.masked_fill_(~outranks, -torch.inf).topk(depth, dim=1).values.cpu().numpy()
     merged = np.concatenate([counts.farthest[rows], found], axis=1)
     counts.farthest[rows] = -np.sort(-merged, axis=1)[:, : counts.farthest.shape[1]]
     for draw in range(counts.first.shape[2]):
-        drawn = placed[:, draw].expand_as(similarity).masked_fill(~beats, np.iinfo(np.int32).max)
+        drawn = placed[:, draw].expand_as(similarity).masked_fill(~outranks, np.iinfo(np.int32).max)
         found = drawn.topk(depth, dim=1, largest=False).values.cpu().numpy()
         merged = np.concatenate([counts.first[rows, :, draw], found], axis=1)
         counts.first[rows, :, draw] = np.sort(merged, axis=1)[:, : counts.first.shape[1]]

@@ -23,7 +23,7 @@ from artifact.ranking.engines import Engine, engine_for
 Similarity = Literal["cosine", "dot", "l2"]
 
 ORIGINAL = "original"
-REVISION = 1  # raise when any count changes: it is part of the key of stored rankings
+REVISION = 2  # raise when any count changes: it is part of the key of stored rankings
 
 _TILE_SIDE = 1024
 _LARGEST_ROWS = 2048
@@ -160,7 +160,7 @@ def rank(
         run = _Pass(
             engine,
             queries,
-            _readings(queries, transforms, options.similarity),
+            factors_of(queries, transforms, options.similarity),
             threshold,
             transforms,
             options,
@@ -179,7 +179,7 @@ def rank(
 
 
 @dataclass(frozen=True)
-class _Reading:
+class Factors:
     """How one view reads an image set: as rows, and as columns ``(tile - left @ right.T) * scale + bias``."""
 
     left: np.ndarray
@@ -192,7 +192,7 @@ class _Reading:
 class _Pass:
     engine: Engine
     queries: ImageSet
-    rows: Mapping[str, _Reading]
+    rows: Mapping[str, Factors]
     threshold: float
     transforms: Mapping[str, LowRank | None]
     options: Options
@@ -200,7 +200,7 @@ class _Pass:
     def over_database(self, database: ImageSet, starts: np.ndarray, positives: np.ndarray) -> dict[str, Counts]:
         """Multiply blocks of queries with the whole database: best positives, and the images above them."""
         options, n = self.options, len(self.queries)
-        columns = _readings(database, self.transforms, options.similarity)
+        columns = factors_of(database, self.transforms, options.similarity)
         counts = {view: Counts.empty(n, options.depth, 0, options.retrieve) for view in self.transforms}
         copies = 2 if len(self.transforms) > 1 else 1
         # Every view reads the tile again: a smaller one stays nearer to the processor.
@@ -218,7 +218,7 @@ class _Pass:
         """Count the allowed distractors of one pool above each query's best positive."""
         options, n = self.options, len(self.queries)
         own = pool is self.queries
-        columns = self.rows if own else _readings(pool, self.transforms, options.similarity)
+        columns = self.rows if own else factors_of(pool, self.transforms, options.similarity)
         bare = {view for view in self.transforms if view != ORIGINAL and not (options.view_sweeps or options.retrieve)}
         counts = {
             view: Counts.empty(n, 0, 0, 0)
@@ -249,16 +249,16 @@ class _Pass:
         return counts
 
 
-def _readings(
+def factors_of(
     images: ImageSet, transforms: Mapping[str, LowRank | None], similarity: Similarity
-) -> dict[str, _Reading]:  # fmt: skip
+) -> dict[str, Factors]:  # fmt: skip
     """Project an image set once for all views; norms turn dot products into the chosen similarity.
 
     With ``a = right.T x - offset``, ``u = left.T x`` and ``G = left.T left``, the transformed dot product is
     ``q'c' = qc - a_q u_c - (u_q - G a_q) a_c``. For an orthogonal projection the last term vanishes.
     """
     squared = squared_norms(images.descriptors)
-    readings = {}
+    factors = {}
     bases = {view: [np.asarray(part, np.float32) for part in t.low_rank()] for view, t in transforms.items() if t}
     projected = _project(images.descriptors, [part for left, right, _ in bases.values() for part in (left, right)])
     for view in transforms:
@@ -275,8 +275,8 @@ def _readings(
             if a.size and np.abs(remainder).max() <= _NEGLIGIBLE * max(np.abs(a).max(), np.abs(u).max()):
                 left_factor, right_factor = np.ascontiguousarray(a), np.ascontiguousarray(u)
         norms = np.maximum(squared + change, 0.0)
-        readings[view] = _Reading(_padded(left_factor), _padded(right_factor), *_scale_and_bias(norms, similarity))
-    return readings
+        factors[view] = Factors(_padded(left_factor), _padded(right_factor), *_scale_and_bias(norms, similarity))
+    return factors
 
 
 def _padded(factor: np.ndarray) -> np.ndarray:

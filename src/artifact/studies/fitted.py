@@ -21,14 +21,14 @@ from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.stored import stored
 from artifact.ranking import one_pass
 from artifact.ranking.one_pass import ORIGINAL
-from artifact.suppression import probe
 from artifact.suppression.inlp import INLP
 from artifact.suppression.leace import LEACE
 from artifact.suppression.lowrank import LowRankMap, compose
+from artifact.suppression.probe import Probe, Transform, probe_on, probe_split
 from artifact.suppression.regions import Split, Where, split
 from artifact.suppression.std import STD
 
-REVISION = 1  # raise when a study of suppression gives another number from the same fits
+REVISION = 2  # raise when a study of suppression gives another number from the same fits
 QUERY, DATABASE = 0, 1  # the condition labels of the paper: query against database
 LOW_RANK = ("INLP", "LEACE")
 METHODS = (*LOW_RANK, "STD")
@@ -43,14 +43,14 @@ class Suppressed:
     ----------
     evaluations
         By suppression method, ``"original"`` first.
-    accuracies
-        Test accuracy of the guardedness probe by suppression method, as a fraction.
+    probes
+        What the guardedness probe found, by suppression method.
     described, split
         What was evaluated, and where it was fitted.
     """
 
     evaluations: dict[str, Evaluation]
-    accuracies: dict[str, float]
+    probes: dict[str, Probe]
     described: Described
     split: Split
 
@@ -157,23 +157,27 @@ def compare(
         return {
             "views": evaluate_region(described, where, {name: fitted[name] for name in LOW_RANK}, seed=seed),
             "STD": evaluate_standardised(described, where, fitted["STD"], seed=seed),
-            "accuracies": _probe_all(described, where, fitted, seed),
+            "probes": _probe_all(described, where, fitted, seed),
         }
 
     results = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "suppression"})
     evaluations = {name: results["views"][name] for name in (ORIGINAL, *LOW_RANK)} | {"STD": results["STD"]}
-    accuracies = dict(zip((ORIGINAL, *METHODS), results["accuracies"].tolist(), strict=True))
-    return Suppressed(evaluations, accuracies, described, where)
+    probes = {
+        name: Probe(accuracy, bool(converged))
+        for name, (accuracy, converged) in zip((ORIGINAL, *METHODS), results["probes"].tolist(), strict=True)
+    }
+    return Suppressed(evaluations, probes, described, where)
 
 
 def _probe_all(described: Described, where: Split, fitted: Mapping[str, Any], seed: int) -> np.ndarray:
-    """Probe accuracies of the original and the suppressed descriptors of the evaluation region."""
+    """Accuracy and convergence ``(4, 2)`` of the probe on the original and the suppressed descriptors."""
     region = evaluation_region(described, where)
-    queries, database = region.queries, region.database
-    rows = probe.probe_split(region.query_positions, region.database_positions, seed)
-    pairs = [(queries, database), *((fitted[n].transform(queries), fitted[n].transform(database)) for n in LOW_RANK)]
-    pairs.append((fitted["STD"].transform(queries, QUERY), fitted["STD"].transform(database, DATABASE)))
-    return np.array([probe.probe_accuracy(*pair, rows, seed) for pair in pairs])
+    rows = probe_split(*region.places, seed)
+    label = {"query": QUERY, "database": DATABASE}
+    transforms: list[Transform | None] = [None]
+    transforms += [lambda block, _, name=name: fitted[name].transform(block) for name in LOW_RANK]
+    transforms += [lambda block, condition: fitted["STD"].transform(block, label[condition])]
+    return np.array([probe_on(region.queries, region.database, rows, transform=t, seed=seed) for t in transforms])
 
 
 def by_fraction(

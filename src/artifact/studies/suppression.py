@@ -33,7 +33,7 @@ def suppression_table(
     Study
         One row per dataset, method and suppression method: ``dataset``, ``title``, ``method``, ``suppression``
         (``original`` among them), ``reported_as``, ``R``, ``DAR``, ``probe`` in percent, their changes ``change_R``, ``change_DAR``,
-        ``change_probe`` in percentage points, ``queries``, ``fitted_queries``, ``fitted_database``, ``origin``.
+        ``change_probe`` in percentage points, ``probe_converged``, ``queries``, ``fitted_queries``, ``fitted_database``, ``origin``.
     """
     rows, inputs = [], []
     for name in names:
@@ -51,10 +51,12 @@ def suppression_table(
                         "suppression": suppressor,
                         "R": PERCENT * after.recall(k),
                         "DAR": PERCENT * after.dar(k),
-                        "probe": PERCENT * result.accuracies[suppressor],
+                        "probe": PERCENT * result.probes[suppressor].accuracy,
+                        "probe_converged": result.probes[suppressor].converged,
                         "change_R": PERCENT * (after.recall(k) - before.recall(k)),
                         "change_DAR": PERCENT * (after.dar(k) - before.dar(k)),
-                        "change_probe": PERCENT * (result.accuracies[suppressor] - result.accuracies[ORIGINAL]),
+                        "change_probe": PERCENT
+                        * (result.probes[suppressor].accuracy - result.probes[ORIGINAL].accuracy),
                         "queries": after.n_queries,
                         "fitted_queries": len(result.split.fit_queries),
                         "fitted_database": len(result.split.fit_database),

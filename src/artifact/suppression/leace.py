@@ -12,6 +12,8 @@ from sklearn.utils.validation import check_is_fitted
 from artifact.suppression.lowrank import LowRankMap
 from artifact.suppression.samples import checked_fit, gram_matrix, scatter_matrix, spectrum, weighted_sum
 
+_GUARDED = 1000  # epsilons of the type of the descriptors: rounding in a transform leaves up to a hundred
+
 
 class LEACE(TransformerMixin, BaseEstimator):
     """Least-squares concept erasure (Belrose et al. 2023), exact and without ``d × d`` matrices.
@@ -19,6 +21,10 @@ class LEACE(TransformerMixin, BaseEstimator):
     The paper's formula (§IV-C) with whitening ``W = (Σ_XX^(1/2))^+`` equals
     ``r(x) = x - A (A'B)^+ B' (x - μ)`` with ``A = X_c' Z_c`` and ``B`` the minimum-norm least-squares solution of
     ``X_c B = Z_c``: memory O(n d).
+
+    Conditions that are guarded already are left alone: only label directions along which ``|A|`` exceeds ``|X_c| |Z_c|`` (its
+    largest possible value) times 1000 epsilons of the type of ``X`` are erased. So fitting on the output of a fit changes
+    nothing, where without the rule it would erase a direction of rounding residues.
 
     Parameters
     ----------
@@ -56,8 +62,17 @@ class LEACE(TransformerMixin, BaseEstimator):
         self.mean_ = X.mean(axis=0, dtype=np.float64)
         labels = (condition[:, None] == np.unique(condition)).astype(np.float64)
         labels -= labels.mean(axis=0)
+        gram = (gram_matrix if len(X) <= X.shape[1] else scatter_matrix)(X, self.mean_, self.device)
         cross = weighted_sum(X, self.mean_, labels)
-        solution = self._regression(X, cross, labels)
+        scatter = float(np.sqrt(np.trace(gram))) * float(np.linalg.norm(labels))
+        told = np.linalg.svd(cross, full_matrices=False)
+        told = told.Vh[_GUARDED * np.finfo(X.dtype).eps * scatter < told.S].T
+        if told.shape[1] == 0:
+            nothing = np.zeros((X.shape[1], 0))
+            self.map_ = LowRankMap(nothing, nothing, np.zeros(0))
+            return self
+        labels, cross = labels @ told, cross @ told
+        solution = self._regression(X, gram, cross, labels)
         inner = cross.T @ solution
         values, vectors = spectrum((inner + inner.T) / 2, 1e-10)
         left = cross @ (vectors / values)
@@ -65,11 +80,10 @@ class LEACE(TransformerMixin, BaseEstimator):
         self.map_ = LowRankMap(left, right, right.T @ self.mean_)
         return self
 
-    def _regression(self, X: np.ndarray, cross: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    def _regression(self, X: np.ndarray, gram: np.ndarray, cross: np.ndarray, labels: np.ndarray) -> np.ndarray:
         """Minimum-norm solution of ``X_c B = Z_c``, or its shrunk form ``(α S + γ I)^-1 A``, up to a factor."""
         n, d = X.shape
         dual = n <= d
-        gram = (gram_matrix if dual else scatter_matrix)(X, self.mean_, self.device)
         if self.shrinkage:
             alpha, gamma = _shrinkage(gram / n, n, d)
             gram = alpha * gram / n

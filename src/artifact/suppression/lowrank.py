@@ -7,7 +7,6 @@ between two transformed descriptors is the original one plus a correction of ran
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,6 +45,11 @@ class LowRankMap:
     def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return ``left``, ``right`` and ``offset``, for evaluation as a view."""
         return self.left, self.right, self.offset
+
+    def save(self, path: Path) -> None:
+        """Write the map to an ``.npz`` file, whole or not at all; :func:`artifact.load_transform` reads it."""
+        arrays = {"left": self.left, "right": self.right, "offset": self.offset}
+        store.write_arrays(Path(path), {"kind": np.array("low-rank"), **arrays})
 
     def transform(self, X: np.ndarray) -> np.ndarray:
         """Apply the map to rows ``(n, d)``; the dtype is kept.
@@ -105,25 +109,3 @@ def compose(*steps: Any) -> LowRankMap:
         offset = np.concatenate([offset, next_offset - overlap.T @ offset])
         left = np.concatenate([left, next_left], axis=1)
     return LowRankMap(left, right, offset)
-
-
-def save(transform: Any, path: Path, inputs: Mapping[str, Any]) -> None:
-    """Store a low-rank transform with a sidecar that records what it was fitted on.
-
-    Parameters
-    ----------
-    transform
-        Anything with a low-rank form.
-    path
-        Target, with the suffix ``.npz``.
-    inputs
-        What it was made from; must hold its ``key``.
-    """
-    left, right, offset = transform.low_rank()
-    store.save_arrays(path, {"left": left, "right": right, "offset": offset}, inputs)
-
-
-def load(path: Path, key: str) -> LowRankMap | None:
-    """Read a transform whose sidecar holds ``key``; ``None`` if there is none."""
-    arrays = store.load_arrays(path, key)
-    return None if arrays is None else LowRankMap(arrays["left"], arrays["right"], arrays["offset"])

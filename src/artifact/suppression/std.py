@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
+from artifact import store
 from artifact.suppression.samples import checked_fit
+
+_BLOCK = 1024  # rows whose means and deviations are spread out at a time
 
 
 class STD(BaseEstimator):
@@ -48,6 +53,19 @@ class STD(BaseEstimator):
         self.scale_ = np.where(flat, 1.0, deviation)
         return self
 
+    def save(self, path: Path) -> None:
+        """Write the fitted values to an ``.npz`` file; :func:`artifact.load_transform` reads it."""
+        check_is_fitted(self)
+        arrays = {"conditions": self.conditions_, "mean": self.mean_, "scale": self.scale_}
+        store.write_arrays(Path(path), {"kind": np.array("STD"), **arrays})
+
+    @classmethod
+    def from_arrays(cls, conditions: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> STD:
+        """Rebuild a fitted transform from its attributes."""
+        fitted = cls()
+        fitted.conditions_, fitted.mean_, fitted.scale_ = conditions, mean, scale
+        return fitted
+
     def transform(self, X: np.ndarray, condition: np.ndarray | int) -> np.ndarray:
         """Standardise descriptors ``(n, d)`` by their conditions, ``(n,)`` or one for all; the dtype is kept.
 
@@ -70,4 +88,10 @@ class STD(BaseEstimator):
             )
         index = np.searchsorted(self.conditions_, rows)
         kind = X.dtype if X.dtype in (np.float32, np.float64) else np.float32
-        return (X.astype(kind, copy=False) - self.mean_.astype(kind)[index]) / self.scale_.astype(kind)[index]
+        mean, scale = self.mean_.astype(kind), self.scale_.astype(kind)
+        out = np.empty(X.shape, kind)
+        for start in range(0, len(X), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            np.subtract(X[block], mean[index[block]], out=out[block], casting="same_kind")
+            out[block] /= scale[index[block]]
+        return out
