@@ -32,9 +32,10 @@ page = page.choose(prefer="real")
 loaded = page.load_all(page.dataset)
 traversals = studies.preview.traversals_table(page.manifest, page.dataset)
 facts = studies.preview.pair_facts(page.manifest, page.dataset)
+remarks = studies.preview.remarks(page.manifest, page.dataset)
 
 # %% tags=["remove-input"]
-pages.common.join([pages.common.label(f"{loaded.title}, {loaded.shift}"), pages.preview.facts(facts)])
+pages.common.join([pages.common.label(f"{loaded.title}, {loaded.shift}"), pages.preview.facts(facts, remarks)])
 
 # %% tags=["remove-input", "full-width"]
 pages.preview.traversals_table(traversals, loaded.unit)

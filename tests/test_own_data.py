@@ -2,6 +2,7 @@
 
 import json
 import os
+import struct
 import subprocess
 import sys
 
@@ -10,11 +11,14 @@ import pandas as pd
 import pytest
 import yaml
 from conftest import REPOSITORY, tiny_manifest, write_images, write_manifest
+from PIL import Image
 
-from artifact import INLP, LEACE, STD, evaluate, split
+from artifact import INLP, LEACE, STD, datasets, evaluate, manifest, split
 from artifact.commands.cli import assignments, main
 from artifact.datasets import DatasetError
 from artifact.datasets.arrays import read_descriptors, read_positions, read_threshold
+from artifact.datasets.images import UnreadableImageError, read_image
+from artifact.studies import preview
 
 RNG = np.random.default_rng(0)
 
@@ -337,3 +341,255 @@ def test_thresholds():
     assert str(read_threshold(" 25 m ")) == "25 m"
     with pytest.raises(DatasetError, match="allowed: metres as 25m"):
         read_threshold("25km")
+
+
+# -- images and positions as other people have them -----------------------------------------------------------------
+
+
+@pytest.fixture
+def pair(tmp_path):
+    """A folder with queries and database, and what the library makes of it after a change."""
+    write_manifest(tmp_path, tiny_manifest())
+    for part, brightness in (("queries", 0), ("database", -50)):
+        write_images(tmp_path / "town" / part, 6, seed=9, brightness=brightness)
+
+    def load():
+        loaded = manifest.load(tmp_path / "data_manifest.yaml")
+        name = str(tmp_path / "town")
+        return datasets.load(loaded, name), preview.remarks(loaded, name)
+
+    return tmp_path / "town", load
+
+
+def csv_of(town, text, parts=("queries", "database"), encoding="utf-8"):
+    for part in parts:
+        (town / part / "positions.csv").write_bytes(text.encode(encoding))
+
+
+ROWS = [(f"frame{i}.png", 10.0 * i, 2.0 * i) for i in range(6)]
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "encoding"),
+    [
+        ("image,x,y", "{0},{1},{2}", "utf-8"),
+        ("y,heading,IMAGE,time,x", "{2},90,{0},2020,{1}", "utf-8"),
+        ("image;x;y", "{0};{c1};{c2}", "utf-8"),
+        ("image\tx\ty", "{0}\t{c1}\t{c2}", "utf-8"),
+        ("image,easting,northing", "{0},{1},{2}", "utf-16"),
+        ("image,x,y,Straße", "{0},{1},{2},ü", "latin-1"),
+        ("image,x,y", "./{0},{1},{2}", "utf-8-sig"),
+        ("image,x,y", "{0},{1},{2}\r", "utf-8"),
+    ],
+)
+def test_positions_are_read_by_column_name(pair, header, row, encoding):
+    town, load = pair
+    lines = [row.format(*r, c1=str(r[1]).replace(".", ","), c2=str(r[2]).replace(".", ",")) for r in ROWS]
+    csv_of(town, "\n".join([header, *lines]) + "\n", encoding=encoding)
+    loaded, remarks = load()
+    assert loaded.unit == "metres"
+    np.testing.assert_array_equal(loaded.query.positions, [row[1:] for row in ROWS])
+    assert remarks == []
+
+
+def test_latitude_and_longitude_become_metres(pair):
+    town, load = pair
+    csv_of(
+        town, "image,lon,lat\n" + "\n".join(f"frame{i}.png,{179.9999 + i * 1e-4 - 360 * (i > 1)},51" for i in range(6))
+    )
+    loaded, remarks = load()
+    steps = np.linalg.norm(np.diff(loaded.query.positions, axis=0), axis=1)
+    np.testing.assert_allclose(steps, 7.02, atol=0.01)  # across the date line too
+    assert remarks == []
+    csv_of(town, "image,lon,lat\n" + "\n".join(f"frame{i}.png,0,{91 + i}" for i in range(6)))
+    with pytest.raises(DatasetError, match="latitude and longitude of 'frame0.png'"):
+        load()
+
+
+def test_degrees_as_x_and_y_are_refused(pair):
+    town, load = pair
+    csv_of(town, "image,x,y\n" + "\n".join(f"frame{i}.png,{13.4 + i * 1e-4},{52.5 + i * 1e-4}" for i in range(6)))
+    with pytest.raises(DatasetError, match="as degrees do; name the columns latitude and longitude"):
+        load()
+
+
+def test_one_positions_file_beside_the_folders(pair):
+    town, load = pair
+    rows = [f"{part}/{name},{x},{y + (part == 'database')}" for part in ("queries", "database") for name, x, y in ROWS]
+    (town / "positions.csv").write_text("image,x,y\n" + "\n".join(rows))
+    loaded, _ = load()
+    np.testing.assert_array_equal(loaded.query.positions, [row[1:] for row in ROWS])
+    np.testing.assert_array_equal(loaded.database.positions[:, 1], [row[2] + 1 for row in ROWS])
+
+
+@pytest.mark.parametrize("form", ["@{0}@{1}@.png", "cam0_{2}@{0}@{1}@.png", "@{0}@{1}@31@U@{2}@.png"])
+def test_positions_in_names(pair, form):
+    town, load = pair
+    for part in ("queries", "database"):
+        for index, path in enumerate(sorted((town / part).iterdir())):
+            path.rename(path.with_name(form.format(500000 + 10 * index, 4000000.5, index)))
+    loaded, _ = load()
+    assert loaded.unit == "metres"
+    assert sorted(loaded.query.positions[:, 0]) == [500000 + 10 * index for index in range(6)]
+    first = next((town / "queries").iterdir())
+    if "31" in form:
+        first.rename(first.with_name("@500000@4000000@32@U@0@.png"))
+        with pytest.raises(DatasetError, match="in the UTM zones 31, 32"):
+            load()
+    else:
+        first.rename(first.with_name("plain.png"))
+        with pytest.raises(
+            manifest.ManifestError, match="5 of 6 names hold @utm_east@utm_north@, 'plain.png' does not"
+        ):
+            load()
+
+
+def test_coordinates_that_jump_are_remarked(pair):
+    town, load = pair
+    csv_of(town, "image,x,y\n" + "\n".join(f"frame{i}.png,{500000 + i * 10 + 3e5 * (i > 2)},0" for i in range(6)))
+    assert any("do the coordinates cross the border of a zone?" in remark for remark in load()[1])
+
+
+def test_frames_of_which_some_are_missing_are_remarked_and_paired_by_name(pair):
+    town, load = pair
+    (town / "queries" / "frame1.png").unlink()
+    loaded, remarks = load()
+    assert remarks[0] == "frames are paired by their order, but queries has 5 images and database 6"
+    assert remarks[1].startswith(
+        "frames are paired by their order though names differ: frame2 with frame1, frame3 with frame2"
+    )
+    description = {
+        "title": "Town", "kind": "folder", "threshold": {"value": 0, "unit": "frames"}, "query": "queries",
+        "database": "database", "by_name": True, "traversals": {p: {"condition": p} for p in ("queries", "database")},
+    }  # fmt: skip
+    (town / "dataset.yaml").write_text(yaml.safe_dump(description))
+    loaded, remarks = load()
+    assert remarks == []
+    np.testing.assert_array_equal(loaded.query.positions[:, 0], [0, 2, 3, 4, 5])
+    np.testing.assert_array_equal(loaded.database.positions[:, 0], range(6))
+
+
+def test_the_same_images_twice_are_remarked(pair):
+    town, load = pair
+    for index in range(3):
+        (town / "database" / f"frame{index}.png").write_bytes((town / "queries" / f"frame{index}.png").read_bytes())
+    assert load()[1] == ["3 images are both query and database: their places are found by themselves"]
+    for path in (town / "queries").iterdir():
+        path.write_bytes((town / "queries" / "frame5.png").read_bytes())
+    assert "all images of queries are the same" in load()[1]
+
+
+def test_one_position_for_all_is_remarked(pair):
+    town, load = pair
+    csv_of(town, "image,x,y\n" + "\n".join(f"frame{i}.png,500,7" for i in range(6)))
+    assert len([remark for remark in load()[1] if "every image is a positive of every query" in remark]) == 2
+
+
+def test_system_files_are_passed_over_and_unreadable_ones_named(pair):
+    town, load = pair
+    for name in (".DS_Store", "._frame0.png", "Thumbs.db", "__MACOSX/frame0.png"):
+        (town / "queries" / name).parent.mkdir(exist_ok=True)
+        (town / "queries" / name).write_text("x")
+    loaded, remarks = load()
+    assert (len(loaded.query), remarks) == (6, [])
+    (town / "queries" / "IMG_1.HEIC").write_text("x")
+    assert load()[1] == [
+        "queries: 1 file is no image that can be read here, first 'IMG_1.HEIC'; HEIC must be converted first"
+    ]
+
+
+def test_odd_file_names_are_sorted(pair):
+    town, load = pair
+    names = ["12²3.png", "a\nb.png", "x" * 200 + ".png", "UPPER.PNG", "ä #%.png", "7.png"]
+    for path, name in zip(sorted((town / "queries").iterdir()), names, strict=True):
+        path.rename(path.with_name(name))
+    assert sorted(load()[0].query.image_names) == sorted(names)
+
+
+GREY = np.kron(np.linspace(20, 230, 48).reshape(6, 8), np.ones((16, 16)))
+
+
+def saved(tmp_path, image, name="image.png", **options):
+    image.save(tmp_path / name, **options)
+    return tmp_path / name
+
+
+def test_sixteen_bits_are_scaled_and_other_ranges_refused(tmp_path):
+    values = (GREY * 257).round().astype(np.uint16)
+    for name, array in (("grey.png", values), ("big.tif", values.astype(">u2"))):
+        if name.endswith("png"):
+            path = saved(tmp_path, Image.fromarray(array), name)
+        else:
+            path = tmp_path / name
+            path.write_bytes(big_endian_tiff(array))
+        np.testing.assert_array_equal(np.asarray(read_image(path, "grey")), GREY.round().astype(np.uint8))
+    for array, message in (
+        ((GREY * 16).astype(np.uint16), "as of a 12-bit camera"),
+        (GREY.astype(np.float32), "mode 'F' have no defined range"),
+        (GREY.astype(np.int32), "mode 'I' have no defined range"),
+    ):
+        path = saved(tmp_path, Image.fromarray(array), "odd.tif")
+        with pytest.raises(UnreadableImageError, match=f"odd.tif: .*{message}"):
+            read_image(path)
+
+
+def big_endian_tiff(values):
+    """The simplest big-endian TIFF: one strip of 16-bit grey values."""
+    h, w = values.shape
+    tags = [
+        (256, 4, w),
+        (257, 4, h),
+        (258, 3, 16),
+        (259, 3, 1),
+        (262, 3, 1),
+        (273, 4, 8),
+        (277, 3, 1),
+        (278, 4, h),
+        (279, 4, 2 * h * w),
+    ]
+    body = values.astype(">u2").tobytes()
+    entries = b"".join(
+        struct.pack(">HHI", tag, kind, 1) + (struct.pack(">I", value) if kind == 4 else struct.pack(">HH", value, 0))
+        for tag, kind, value in tags
+    )
+    return b"MM\x00*" + struct.pack(">I", 8 + len(body)) + body + struct.pack(">H", len(tags)) + entries + bytes(4)
+
+
+def test_photographs_are_turned_upright(tmp_path):
+    pixels = np.zeros((40, 60, 3), np.uint8)
+    pixels[:20] = 200
+    exif = Image.Exif()
+    exif[0x0112] = 6  # the camera was turned: rotate by 270 degrees
+    path = saved(tmp_path, Image.fromarray(pixels), "turned.jpg", exif=exif, quality=95)
+    upright = np.asarray(read_image(path))
+    assert upright.shape == (60, 40, 3)
+    assert upright[:, 30:].mean() > 190
+    assert upright[:, :10].mean() < 10
+
+
+@pytest.mark.parametrize("mode", ["RGBA", "LA", "P"])
+def test_what_is_transparent_lies_on_white(tmp_path, mode):
+    rgba = np.zeros((8, 8, 4), np.uint8)
+    rgba[:4, :, 3] = 255
+    image = Image.fromarray(rgba)
+    if mode == "P":
+        image = Image.fromarray(np.repeat([[0], [1]], 4, axis=0).repeat(8, axis=1).astype(np.uint8), "L").convert("P")
+        image.putpalette([0, 0, 0, 0, 0, 0])
+        path = saved(tmp_path, image, transparency=1)
+    else:
+        path = saved(tmp_path, image.convert(mode))
+    found = np.asarray(read_image(path))
+    assert (found[:4] == 0).all()
+    assert (found[4:] == 255).all()
+
+
+def test_raw_mosaics_are_refused_and_grey_photographs_are_not(tmp_path):
+    rng = np.random.default_rng(0)
+    grey = np.clip(GREY + rng.normal(0, 12, GREY.shape), 0, 255)
+    read_image(saved(tmp_path, Image.fromarray(grey.astype(np.uint8))))
+    mosaic = grey * np.tile([[0.6, 1.0], [1.0, 0.8]], (GREY.shape[0] // 2, GREY.shape[1] // 2))
+    path = saved(tmp_path, Image.fromarray(mosaic.astype(np.uint8)), "raw.png")
+    with pytest.raises(
+        UnreadableImageError, match=r"raw.png: looks like a raw colour mosaic \(Bayer pattern\); demosaic it"
+    ):
+        read_image(path)

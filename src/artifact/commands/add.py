@@ -50,6 +50,8 @@ def run(manifest: Manifest, options: argparse.Namespace) -> Iterator[str]:
     table = studies.preview.traversals_table(known, options.name)
     yield table.to_string(index=False, na_rep="–", float_format=lambda value: f"{value:.2f}")
     yield studies.preview.in_words(facts)
+    for remark in (remarks := studies.preview.remarks(known, options.name)):
+        yield f"warning: {remark}"
     if not facts["evaluated"]:
         raise DatasetError(f"{options.name}: no query has a positive; check the positions and --threshold")
     if options.dry_run:
@@ -57,7 +59,7 @@ def run(manifest: Manifest, options: argparse.Namespace) -> Iterator[str]:
         return
     with store.replacing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    page = _page(known, options.name, table, facts)
+    page = _page(known, options.name, table, facts, remarks)
     with store.replacing(folder / PREVIEW) as temporary:
         temporary.write_text(page, encoding="utf-8")
     shown = _as_typed(folder)
@@ -141,13 +143,13 @@ def _default_threshold(parts: dict[str, Path], sources: dict[str, tuple[str, Pat
     return read_threshold("1frame" if frames else "25m")
 
 
-def _page(manifest: Manifest, name: str, table: Any, facts: dict[str, Any]) -> str:
+def _page(manifest: Manifest, name: str, table: Any, facts: dict[str, Any], remarks: list[str]) -> str:
     """The preview as one HTML file that needs nothing else."""
     entry = manifest.dataset(name)
     dataset = datasets.load(manifest, name, entry.traversals)
     pages.style.use_style()
     parts = [
-        pages.preview.facts(facts),
+        pages.preview.facts(facts, remarks),
         pages.preview.traversals_table(table, dataset.unit),
         pages.preview.positions_figure(dataset),
         galleries.contact_sheet(dataset),

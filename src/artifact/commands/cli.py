@@ -392,7 +392,8 @@ def _evaluate(options: argparse.Namespace) -> None:
     own = [name for name in options.datasets or [] if name not in manifest.datasets]
     for name in own:
         sys.stdout.write(f"{name}: {preview.in_words(preview.pair_facts(manifest, name))}\n")
-        sys.stdout.write(preview.traversals_table(manifest, name).to_string(index=False, na_rep="–") + "\n\n")
+        sys.stdout.write(preview.traversals_table(manifest, name).to_string(index=False, na_rep="–") + "\n")
+        sys.stdout.write("".join(f"warning: {remark}\n" for remark in preview.remarks(manifest, name)) + "\n")
     for k in options.k or [1]:
         study = recall.recall_table(
             manifest, options.datasets or profile.datasets, options.methods or profile.methods, k=k

@@ -113,22 +113,22 @@ def image_folder(manifest: Manifest, dataset: str, name: str) -> Path:
     traversal = entry.traversals[name]
     if entry.kind == "city":
         return rendered_folder(traversal.render or {}, manifest.cache, f"{dataset}/{name}")
-    return manifest.data_root / (entry.root or dataset) / (traversal.images or name)
+    return _below(manifest.data_root / (entry.root or dataset), traversal.images or name)
 
 
 def listed(manifest: Manifest, dataset: str, name: str) -> tuple[list[str], np.ndarray]:
     """Return the image names and positions of a traversal whose folder is there, reading no image."""
     entry, images = manifest.dataset(dataset), image_folder(manifest, dataset, name)
     traversal, root = entry.traversals[name], manifest.data_root / (entry.root or dataset)
-    names = folder.list_images(images, root / traversal.image_list if traversal.image_list else None)
+    names = folder.list_images(images, _below(root, traversal.image_list) if traversal.image_list else None)
     source, unit = traversal.positions or positions_source(images), entry.threshold.unit
     if source == "names":
         positions, found = folder.positions_from_names(images, names), "metres"
     elif source == "csv":
-        file = root / traversal.positions_file if traversal.positions_file else images / POSITIONS_FILE
-        positions, found = folder.positions_from_csv(file, names)
+        file = _below(root, traversal.positions_file) if traversal.positions_file else images / POSITIONS_FILE
+        positions, found = folder.positions_from_csv(file, names, images.name)
     else:
-        positions, found = np.arange(len(names), dtype=np.float64)[:, None], "frames"
+        positions, found = _frame_indices(manifest, dataset, names)[:, None], "frames"
     if (found == "metres") != (unit == "metres"):
         where = "are the frame order" if source == "order" else f"are in {found}"
         raise DatasetError(f"{dataset}/{name}: the threshold is in {unit} but the positions {where}")
@@ -136,6 +136,30 @@ def listed(manifest: Manifest, dataset: str, name: str) -> tuple[list[str], np.n
         kept = folder.keep_spacing(positions, traversal.spacing)
         names, positions = [names[index] for index in kept], positions[kept]
     return names, positions
+
+
+def _below(root: Path, path: str) -> Path:
+    """A path of a description, which may be absolute or begin with ``~``; ``..`` leads out of folders that are not there."""
+    return Path(os.path.normpath(root / Path(path).expanduser()))
+
+
+def _frame_indices(manifest: Manifest, dataset: str, names: list[str]) -> np.ndarray:
+    """Index of each frame: its place in its traversal, or with ``by_name`` that of its name among those of all traversals."""
+    entry = manifest.dataset(dataset)
+    if not entry.by_name:
+        return np.arange(len(names), dtype=np.float64)
+    root = manifest.data_root / (entry.root or dataset)
+    every: set[str] = set()
+    for name, traversal in entry.traversals.items():
+        chosen = _below(root, traversal.image_list) if traversal.image_list else None
+        every |= {stem(image) for image in folder.list_images(image_folder(manifest, dataset, name), chosen)}
+    index = {one: place for place, one in enumerate(sorted(every, key=folder.natural_order))}
+    return np.array([index[stem(name)] for name in names], dtype=np.float64)
+
+
+def stem(name: str) -> str:
+    """Return an image's name without its ending, by which frames of two traversals are paired."""
+    return str(Path(name).with_suffix(""))
 
 
 def _missing(dataset: str, entry: DatasetEntry, images: Path, manifest: Manifest) -> str:

@@ -15,7 +15,7 @@ from artifact.datasets.traversal import Traversal
 STATISTICS = ("brightness", "contrast", "saturation", "sharpness")
 """Mean luminance, its standard deviation, mean saturation, mean absolute Laplacian of the luminance; all from 0 to 1."""
 
-REVISION = 1  # raise when a value changes
+REVISION = 2  # raise when a value changes
 _SIDE = 320  # images are measured at this length of their longer side, so that sizes do not matter
 
 

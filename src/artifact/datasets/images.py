@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from PIL import Image
+import numpy as np
+from PIL import Image, ImageOps
+
+_RANGE_OF_12_BITS = 4096
+_SMALLEST_MOSAIC = 64  # pixels; smaller pictures are no camera's
+_MOSAIC = 0.05  # of the mean brightness, between the four places of the pattern
 
 
 class UnreadableImageError(OSError):
@@ -13,25 +18,62 @@ class UnreadableImageError(OSError):
 
 
 def read_image(path: Path, colour: str = "rgb") -> Image.Image:
-    """Decode an image file wholly.
+    """Decode an image file wholly, upright and in 8 bits.
+
+    A photograph that its camera marked as rotated (EXIF) is turned upright. What is transparent lies on white. 16-bit values
+    are divided by 257.
 
     Parameters
     ----------
     path
-        Any format that Pillow reads. EXIF rotation is not applied, as in the evaluation code of the methods.
+        Any format that Pillow reads.
     colour
         ``"rgb"`` or ``"grey"`` (ITU-R 601 luma).
 
     Raises
     ------
     UnreadableImageError
-        If the file is missing, not an image, truncated or otherwise damaged.
+        If the file is missing, not an image, truncated or otherwise damaged; or if its values have no defined range (32-bit,
+        float, 12 bits in 16), or are a raw colour mosaic.
     """
     try:
         with Image.open(path) as image:
-            return image.convert("RGB" if colour == "rgb" else "L")
+            upright = ImageOps.exif_transpose(image)
+            return _in_8_bits(path, upright).convert("RGB" if colour == "rgb" else "L")
+    except UnreadableImageError:
+        raise
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise UnreadableImageError(f"{path}: {error}") from None
+
+
+def _in_8_bits(path: Path, image: Image.Image) -> Image.Image:
+    """The image in a mode that converts to RGB or grey without a hidden choice."""
+    if image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info:
+        over = image.convert("RGBA")
+        return Image.alpha_composite(Image.new("RGBA", over.size, "white"), over)
+    if image.mode.startswith("I;16"):
+        values = np.asarray(image).astype(np.uint16)  # in this machine's byte order
+        if values.max() < _RANGE_OF_12_BITS:
+            raise UnreadableImageError(
+                f"{path}: 16-bit values up to {values.max()}, as of a 12-bit camera; scale them to 8 or 16 bits first"
+            )
+        return Image.fromarray((values / 257).round().astype(np.uint8))
+    if image.mode in ("I", "F"):
+        raise UnreadableImageError(
+            f"{path}: values of mode {image.mode!r} have no defined range; convert to 8 or 16 bits"
+        )
+    if image.mode == "L" and _is_mosaic(np.asarray(image)):
+        raise UnreadableImageError(f"{path}: looks like a raw colour mosaic (Bayer pattern); demosaic it first")
+    return image
+
+
+def _is_mosaic(values: np.ndarray) -> bool:
+    """Whether every second pixel is clearly brighter or darker, which no photograph in grey is."""
+    if min(values.shape) < _SMALLEST_MOSAIC:
+        return False
+    h, w = (side - side % 2 for side in values.shape)
+    means = values[:h, :w].reshape(h // 2, 2, w // 2, 2).mean(axis=(0, 2))
+    return bool(means.max() - means.min() > _MOSAIC * max(1.0, float(means.mean())))
 
 
 def modes_and_sizes(paths: Sequence[Path]) -> tuple[list[str], list[tuple[int, int]]]:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["PRECISIONS", "Descriptors", "ExtractionError", "descriptor_key", "descriptors", "is_ready", "stored_path"]
 
 PRECISIONS = ("float32", "bfloat16", "float16")
-REVISION = 1  # raise when the same model and images would give other descriptors
+REVISION = 2  # raise when the same model and images would give other descriptors
 
 
 @dataclass(frozen=True)

@@ -77,8 +77,8 @@ class Manifest:
         folder = self.relative_to / Path(name).expanduser()
         if not folder.is_dir():
             raise ManifestError(
-                f"{self.path}: no dataset {name!r}; the datasets are {quoted(self.datasets)}, and there is no folder "
-                f"{folder} either"
+                f"{self.path}: no dataset {name!r}; the datasets are {quoted(self.datasets)}, and {name!r} is no folder in "
+                f"{self.relative_to} either"
             )
         return entry_of_folder(folder)
 

@@ -93,6 +93,7 @@ class DatasetEntry(_Strict):
 
     ``distractor_traversals`` offer pools of further conditions (paper Fig. 7). ``same_condition_traversal`` has the
     query's kind of condition; some of its frames join the database in the maps (Figs. 2 and 9).
+    ``by_name`` pairs frames by their file names (without endings) where a traversal lacks some, instead of by their order.
     ``irrelevant_pairs`` are query–database pairs of conditions that no transform is fitted on (Table V).
     ``coordinates`` names the frame that positions are in, for datasets that share places; default: the ``root``.
     ``reported_as`` is the paper's name of the dataset, where its numbers can be compared.
@@ -110,6 +111,7 @@ class DatasetEntry(_Strict):
     coordinates: str | None = None
     distractor_traversals: list[Name] = []
     same_condition_traversal: Name | None = None
+    by_name: bool = False
     irrelevant_pairs: list[Annotated[list[Name], Field(min_length=2, max_length=2)]] = []
     sources: list[Source] = []
     licence: str = "not stated"

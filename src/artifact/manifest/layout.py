@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from artifact.manifest.entries import DatasetEntry, ManifestError, Positions, Threshold, TraversalEntry
@@ -9,6 +10,9 @@ from artifact.manifest.faults import read
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 POSITIONS_FILE = "positions.csv"
+UTM_NAME = re.compile(r"@(?P<east>-?\d+\.?\d*)@(?P<north>-?\d+\.?\d*)@(?:(?P<zone>\d{1,2})@[A-Za-z]@)?")
+"""``@utm_east@utm_north@`` in a file name, perhaps with the zone behind it."""
+
 DESCRIPTION = "dataset.yaml"
 _QUERY_FOLDERS = ("queries", "query")
 _DATABASE_FOLDERS = ("database", "gallery")
@@ -18,8 +22,8 @@ def entry_of_folder(folder: Path) -> DatasetEntry:
     """Return the entry of a dataset that is a folder.
 
     The folder describes itself in ``dataset.yaml`` (the same keys as a manifest entry), or has the sub-folders
-    ``queries`` and ``database`` (or ``gallery``): then positions come from ``positions.csv`` in each, else from
-    ``@utm_east@utm_north@`` file names, else from the frame order, and the threshold is 25 m, or 1 frame.
+    ``queries`` and ``database`` (or ``gallery``): then positions come from ``positions.csv`` in each or one beside them, else
+    from ``@utm_east@utm_north@`` file names, else from the frame order, and the threshold is 25 m, or 1 frame.
 
     Raises
     ------
@@ -32,12 +36,16 @@ def entry_of_folder(folder: Path) -> DatasetEntry:
         return entry if entry.root else entry.model_copy(update={"root": str(folder)})
     query, database = _one_of(folder, _QUERY_FOLDERS), _one_of(folder, _DATABASE_FOLDERS)
     sources = {part: positions_source(folder / part) for part in (query, database)}
+    beside = POSITIONS_FILE if (folder / POSITIONS_FILE).is_file() and "csv" not in sources.values() else None
+    if beside:
+        sources = dict.fromkeys(sources, "csv")
     if len(set(sources.values())) != 1:
         raise ManifestError(
             f"{folder}: {query} and {database} have different kinds of positions: {', '.join(sorted(sources.values()))}"
         )
     source = sources[query]
-    in_frames = source == "order" or (source == "csv" and has_index(folder / query / POSITIONS_FILE))
+    file = folder / (beside or f"{query}/{POSITIONS_FILE}")
+    in_frames = source == "order" or (source == "csv" and has_index(file))
     return DatasetEntry(
         title=folder.name,
         kind="folder",
@@ -46,7 +54,9 @@ def entry_of_folder(folder: Path) -> DatasetEntry:
         query=query,
         database=database,
         shift=f"{query}→{database}",
-        traversals={part: TraversalEntry(condition=part, positions=source) for part in (query, database)},
+        traversals={
+            part: TraversalEntry(condition=part, positions=source, positions_file=beside) for part in (query, database)
+        },
     )
 
 
@@ -61,14 +71,38 @@ def _one_of(folder: Path, candidates: tuple[str, ...]) -> str:
 
 
 def positions_source(images: Path) -> Positions:
-    """Say where the positions of a folder of images come from if nobody says it."""
+    """Say where the positions of a folder of images come from if nobody says it.
+
+    Raises
+    ------
+    ManifestError
+        If some of the names hold positions and others do not.
+    """
     if (images / POSITIONS_FILE).is_file():
         return "csv"
     names = sorted(path.name for path in images.rglob("[!.]*") if path.suffix.lower() in IMAGE_SUFFIXES)
-    return "names" if names and names[0].startswith("@") else "order"
+    without = [name for name in names if not UTM_NAME.search(name)]
+    if without and len(without) < len(names):
+        raise ManifestError(
+            f"{images}: {len(names) - len(without)} of {len(names)} names hold @utm_east@utm_north@, {without[0]!r} does not; "
+            f"rename it, write {POSITIONS_FILE}, or say 'positions: order' in {DESCRIPTION}"
+        )
+    return "order" if without or not names else "names"
 
 
 def has_index(path: Path) -> bool:
-    """Say whether a positions file holds frame indices."""
-    with path.open(encoding="utf-8-sig") as stream:
-        return "index" in stream.readline().lower()
+    """Say whether a positions file holds frame indices and no metres."""
+    header = re.split(r"[,;\t]", text_of(path).partition("\n")[0].lower())
+    names = {column.strip().strip('"') for column in header}
+    return bool(names & {"index", "frame"}) and not names & {"x", "latitude", "lat", "east", "easting", "utm_east"}
+
+
+def text_of(path: Path) -> str:
+    """Return the text of a file in UTF-8, UTF-16 or else Latin-1."""
+    content = path.read_bytes()
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return content.decode("utf-16", errors="replace")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("latin-1")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from artifact.datasets import Dataset
 from artifact.datasets.positives import positives_of
-from artifact.pages.common import markup, number, table
+from artifact.pages.common import join, markup, number, table
 from artifact.pages.style import DATABASE_COLOUR, QUERY_COLOUR, embed
 from artifact.studies.preview import in_words
 
@@ -37,9 +37,11 @@ def traversals_table(frame: pd.DataFrame, unit: str) -> HTML:
     return table(rows, text=3, caption=caption)
 
 
-def facts(found: Mapping[str, Any]) -> HTML:
-    """Say how many queries can be evaluated and how many positives they have."""
-    return markup("<p>{}.</p>", in_words(dict(found)))
+def facts(found: Mapping[str, Any], remarks: Sequence[str] = ()) -> HTML:
+    """Say how many queries can be evaluated and how many positives they have, and what may be wrong with the dataset."""
+    return join(
+        [markup("<p>{}.</p>", in_words(dict(found))), *(markup("<p><b>Warning:</b> {}.</p>", r) for r in remarks)]
+    )
 
 
 def positions_figure(dataset: Dataset) -> HTML:

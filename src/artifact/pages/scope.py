@@ -14,6 +14,7 @@ from artifact.datasets.appearance import has_appearance
 from artifact.manifest import TYPED_IN, Manifest
 from artifact.manifest.entries import ManifestError
 from artifact.pages.style import use_style
+from artifact.studies import preview
 from artifact.studies.common import single_stage
 
 __all__ = ["NothingToShowError", "Page", "open_page"]
@@ -96,6 +97,8 @@ class Page:
         with_what = " and ".join(what[kind] for kind in sorted(kinds))
         counted = [name for name in self.datasets if self.manifest.dataset(name).paper is not None]
         counts = [f"{text}." for name in counted for text in data.load(self.manifest, name).differences]
+        own = [name for name in self.datasets if name not in self.manifest.datasets]
+        counts += [f"Warning: {text}." for name in own for text in preview.remarks(self.manifest, name)]
         return " ".join([f"Measured by profile “{self.profile}” on {' and '.join(images)} with {with_what}.", *counts])
 
     @property

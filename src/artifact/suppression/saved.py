@@ -30,7 +30,7 @@ def load_transform(path: Path) -> LowRankMap | STD:
         with np.load(path, allow_pickle=False) as stored:
             kind = str(stored["kind"])
             parts = [stored[name] for name in _PARTS[kind]]
-    except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile):
+    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile):
         raise ValueError(f"{path}: no saved transform; files that LowRankMap.save or STD.save wrote are read") from None
     widths = {part.shape[0 if kind == "low-rank" else 1] for part in parts if part.ndim == 2}
     if not all(np.isfinite(part).all() for part in parts if part.dtype.kind == "f") or len(widths) != 1:
