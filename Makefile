@@ -8,8 +8,10 @@ PYTHON ?= $(shell for p in python3 python3.12 python3.13 python3.11; do \
 # As typed: spaces, quotes and dollar signs reach the command unchanged.
 export ARTIFACT_SET := $(value SET)
 SHELL := /bin/sh
+# An environment that moved with its clone still points at the old place: it is made again.
+$(shell test -f $(VENV)/.ready && test "$$(cat $(VENV)/.ready)" != "$$(pwd)" && rm -f $(VENV)/.ready)
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce rehearsal test book data extract verify bench plan status lint lock clean
+.PHONY: help doctor setup reproduce rehearsal test book data extract verify bench plan status lint lock clean
 
 help: ## show this help
 	@echo "make reproduce            set up, run the demo, build the book (all that a first run needs)"
@@ -21,7 +23,11 @@ help: ## show this help
 	@echo "SET='k=5 fig06.seed=1'    notebook parameters for reproduce, for all notebooks or one"
 	@echo "DEVICES=cuda:0,cuda:1     devices of extract and plan (all: every CUDA device); PRECISION=bfloat16 mixed precision"
 	@echo "METHODS='all'             bench: time the paper's methods (or those named), for Table II"
+	@echo "TORCH_INDEX=URL           index of set-up's PyTorch, for example of its CPU builds"
 	@echo "ARTIFACT_DATA_ROOT=DIR    folder of the real datasets; ARTIFACT_CACHE=DIR folder of stored results"
+
+doctor: ## check in a second what set-up needs, and say what is wrong
+	@$(or $(PYTHON),python3) src/artifact/commands/doctor.py
 
 setup: $(VENV)/.ready ## create the environment only
 
@@ -78,10 +84,12 @@ $(VENV)/.ready: environment.txt pyproject.toml
 	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { echo "error: $(PYTHON) has no venv module; on Debian and Ubuntu: apt install python3-venv" >&2; exit 1; }
 	@echo "creating $(VENV) (a few minutes the first time)"
 	@$(PYTHON) -m venv --clear $(VENV)
-	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check torch==2.13.0
-	@if command -v uv >/dev/null 2>&1; then \
+	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
+	@# uv reads none of pip's settings: where pip has an index, proxy or certificate and uv has none, pip installs.
+	@if command -v uv >/dev/null 2>&1 && { env | grep -q '^UV_' || \
+		! $(VENV)/bin/python -m pip config list | grep -qE '(index-url|proxy|cert|no-index|find-links)='; }; then \
 		uv pip install --quiet --python $(VENV)/bin/python --no-deps --require-hashes -r environment.txt; \
 	else $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r environment.txt; fi
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@$(VENV)/bin/python -m artifact_city || echo "the renderer could not be compiled now: it is compiled at first use"
-	@touch $@
+	@pwd > $@
