@@ -13,10 +13,10 @@
 # %% [markdown]
 # # Fig. 4: recall and distractor-augmented recall
 #
-# Drawn by code; nothing is measured here. A robot at the query pose retrieves from the database. The dashed circle is
+# Drawn by code from no data. A robot at the query pose retrieves from the database. The dashed circle is
 # the positive threshold. For recall (a), the database holds only images of the other condition. For DAR (b), each
 # query's database gains images of the query's own condition, all of them outside its circle: none of them can be
-# correct, and each of them looks more like the query than the correct images do.
+# correct, and some of them may look more like the query than the correct images do.
 
 # %% tags=["parameters", "hide-input"]
 # This page has no parameters.

@@ -40,7 +40,7 @@ pages.recall.scatter(study.table, page.method_titles, k=k)
 # %% [markdown]
 # ## The paper's Fig. 5
 #
-# Drawn from the values that the paper plots, for its eleven methods and six datasets. Not measured here.
+# Drawn from the values that the paper plots, for its eleven methods and six datasets, not from this run.
 
 # %% tags=["remove-input"]
 pages.recall.reported_scatter()

@@ -46,7 +46,7 @@ pages.distractors.condition(study.table, page.method_titles, query_condition=pag
 # %% [markdown]
 # ## The paper's Fig. 7
 #
-# Drawn from the values that the paper plots for RobotCar. Not measured here.
+# Drawn from the values that the paper plots for RobotCar, not from this run.
 
 # %% tags=["remove-input"]
 pages.distractors.reported_condition()

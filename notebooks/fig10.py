@@ -49,7 +49,7 @@ Markdown(f"Mean over {means['pairs'].min()} method–dataset pairs.")
 # %% [markdown]
 # ## The paper's Fig. 10
 #
-# Drawn from the values that the paper plots, means over 54 pairs. Not measured here.
+# Drawn from the values that the paper plots, means over 54 pairs, not from this run.
 
 # %% tags=["remove-input"]
 pages.suppression.reported_fraction_curves()

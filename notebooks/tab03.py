@@ -58,7 +58,7 @@ pages.recall.beside_reported(study.table, page.method_titles, k=k)
 # %% [markdown]
 # ## The paper's Table III
 #
-# For comparison, the paper's own numbers for its eleven methods and six datasets. They are not measured here.
+# For comparison, the paper's own numbers for its eleven methods and six datasets. They are not from this run.
 
 # %% tags=["remove-input", "full-width"]
 pages.recall.reported_recall_table()

@@ -78,6 +78,7 @@ def offer(monkeypatch, *datasets):
         )
         return Described(loaded, method, {name: one.descriptors[name] for name in names})
 
+    monkeypatch.setattr("artifact.studies.composition.datasets.load", lambda _, name: by_name[name].dataset)
     for module in [m for name, m in sys.modules.items() if name.startswith("artifact.")]:
         if getattr(module, "describe", None) is original:
             monkeypatch.setattr(module, "describe", describe)

@@ -44,7 +44,7 @@ def test_the_table_holds_what_fitting_and_evaluating_by_hand_give(made):
     table = studies.suppression.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=5).table.set_index(
         "suppression"
     )
-    region = fitted.split_of(one, 0.1)
+    region = fitted.split_of(one.dataset, 0.1)
     X, condition = fitted.fitting_data(one, region)
     assert (condition == 0).sum() == len(region.fit_queries) == table.loc["original", "fitted_queries"]
     for name, transform in (("original", None), ("LEACE", LEACE()), ("INLP", INLP(5))):
@@ -82,7 +82,7 @@ def test_fractions_start_at_the_original_and_share_one_evaluation_half(made):
     table = studies.suppression.fitting_fraction(manifest, ["made"], [synthetic.METHOD], [0.1, 0.5], iterations=3).table
     assert set(table["suppression"]) == {"INLP", "LEACE", "STD"}
     assert (table.loc[table["fraction"] == 0, ["change_R", "change_DAR"]] == 0).all(axis=None)
-    half = fitted.split_of(one, 0.5, 0.5)
+    half = fitted.split_of(one.dataset, 0.5, 0.5)
     X, condition = fitted.fitting_data(one, half)
     expected = by_hand(one, half, LEACE().fit(X, condition)).dar(1) - by_hand(one, half).dar(1)
     found = table.query("suppression == 'LEACE' and fraction == 0.5")["change_DAR"].item()
@@ -110,9 +110,9 @@ def test_too_small_a_fraction_leaves_a_pair_out_of_the_means(tmp_path, monkeypat
 def test_the_composed_transform_is_fitted_in_turn_and_erases_both_conditions(two):
     manifest, both = two
     erasure, _ = fitted.sequential(manifest, ["made", "other"], synthetic.METHOD, "LEACE")
-    X, condition = fitted.fitting_data(both["made"], fitted.split_of(both["made"], 0.1))
+    X, condition = fitted.fitting_data(both["made"], fitted.split_of(both["made"].dataset, 0.1))
     first = LEACE().fit(X, condition)
-    X, condition = fitted.fitting_data(both["other"], fitted.split_of(both["other"], 0.1))
+    X, condition = fitted.fitting_data(both["other"], fitted.split_of(both["other"].dataset, 0.1))
     second = LEACE().fit(first.transform(X), condition)
     probe = both["other"].query.values
     np.testing.assert_allclose(erasure.composed.transform(probe), second.transform(first.transform(probe)), atol=1e-5)
@@ -289,7 +289,7 @@ def test_places_of_every_fitting_region_stay_out_of_irrelevant_pairs(two, monkey
 
     monkeypatch.setattr("artifact.studies.composition.evaluate", remember)
     names = ["made", "other"]
-    places = studies.composition.fitted_places(manifest, names, "made", synthetic.METHOD, 0.1)
+    places = studies.composition.fitted_places(manifest, names, "made", 0.1)
     assert len(places) == 1  # the other dataset has coordinates of its own
     studies.composition.irrelevant_conditions(manifest, names, [synthetic.METHOD], iterations=2)
     fitted_there, threshold = places[0]

@@ -187,5 +187,6 @@ _CHECKS: dict[str, _Check] = {
     "fractions": _numbers(0, 1),
     "share": _number(0, 1),
     "iterations": _integer(1),
+    "draws": _integer(1),
     "statistics": _statistics,
 }

@@ -52,7 +52,7 @@ def reported_equivalence_table(name: str) -> HTML:
     wide.columns = ["_".join(column) for column in wide.columns]
     whole = dict.fromkeys(("within_DAR", "within_R"), int)
     return equivalence_table(
-        wide.astype(whole).reset_index(), caption="Reported by the paper; not measured here. Differences in pp."
+        wide.astype(whole).reset_index(), caption="Reported by the paper, not from this run. Differences in pp."
     )
 
 

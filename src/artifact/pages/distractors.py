@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -30,6 +30,7 @@ def number_and_distance(
     left, right = figure.subplots(1, 2, sharey=True)
     for method, rows in number.groupby("method", sort=False):
         curve(left, rows["ratio"], rows["DAR"], method, list(titles))
+        _draw_reported(left, rows["ratio"], rows, method, titles)
         if "draw_low" in rows:
             colour = method_style(method, list(titles)).colour
             left.fill_between(rows["ratio"], rows["draw_low"], rows["draw_high"], color=colour, alpha=0.18, linewidth=0)
@@ -38,7 +39,7 @@ def number_and_distance(
     percent_axis(left, f"DAR@{k} (%)")
     percent_axis(right)
     figure.tight_layout(w_pad=1.2)
-    method_legend(figure, titles)
+    method_legend(figure, titles, reported=_has_reported(number) or _has_reported(distance))
     return embed(figure, f"DAR@{k} against distractor number and distance, {source}")
 
 
@@ -48,6 +49,45 @@ def reported_number_and_distance() -> HTML:
     return number_and_distance(*tables, reported.method_titles(), source="reported by the paper for RobotCar")
 
 
+def about_draws(number: pd.DataFrame, titles: Mapping[str, str]) -> str:
+    """Say what the lines and bands of Fig. 6a are: exact expectations or means of draws, and of how many.
+
+    Parameters
+    ----------
+    number
+        As from :func:`artifact.studies.distractors.distractor_number`.
+    titles
+        Method name to printed title.
+    """
+    drawn = number.groupby("method", sort=False)["draws"].max()
+    exact = [titles[method] for method in drawn.index if drawn[method] == 0]
+    parts = []
+    if exact:
+        whose = "the line" if len(exact) == len(drawn) else f"the line of {', '.join(exact)}"
+        parts.append(f"{whose} is the exact expectation over all random subsets of the pool")
+    parts += [
+        f"that of {titles[method]} is the mean of {count} nested random draws"
+        for method, count in drawn.items()
+        if count
+    ]
+    return (
+        f"In (a) {'; '.join(parts)}. The band spans nested random draws. The paper says only that it samples at random."
+    )
+
+
+def _has_reported(table: pd.DataFrame) -> bool:
+    return "reported" in table and table["reported"].notna().any()
+
+
+def _draw_reported(
+    axes: Axes, x: Sequence[float] | pd.Series, rows: pd.DataFrame, method: str, titles: Mapping[str, str]
+) -> None:
+    """Draw what the paper reports for a measured curve, dashed and without markers, below it."""
+    if _has_reported(rows):
+        colour = method_style(method, list(titles)).colour
+        axes.plot(x, rows["reported"], linestyle=(0, (4, 2)), color=colour, alpha=0.55, linewidth=2.6, zorder=1)
+
+
 def _draw_distance(axes: Axes, distance: pd.DataFrame, titles: Mapping[str, str]) -> None:
     """Curves over distance with infinity at an equal step beyond the last finite one, right of a dashed line."""
     finite = sorted(x for x in distance["distance"].unique() if np.isfinite(x))
@@ -55,7 +95,9 @@ def _draw_distance(axes: Axes, distance: pd.DataFrame, titles: Mapping[str, str]
     end = finite[-1] + gap
     for method, rows in distance.groupby("method", sort=False):
         ordered = rows.sort_values("distance")
-        curve(axes, ordered["distance"].replace(np.inf, end), ordered["DAR"], method, list(titles))
+        places = ordered["distance"].replace(np.inf, end)
+        curve(axes, places, ordered["DAR"], method, list(titles))
+        _draw_reported(axes, places, ordered, method, titles)
     axes.axvline(finite[-1] + gap / 2, linestyle="--", color="0.6", linewidth=0.9)
     axes.set_xticks([*finite, end], [*(f"{x:g}" for x in finite), "∞"])
     axes.set(xlabel="Minimum distractor distance (m)", title="(b) Distractor distance")
@@ -69,21 +111,36 @@ def condition(
     k: int = 1,
     source: str = "measured in this run",
 ) -> HTML:
-    """Fig. 7: DAR@K by the condition of the distractors, ordered by the mean over methods."""
-    means = table.groupby("condition", sort=False)["DAR"].mean().sort_values()
+    """Fig. 7: DAR@K by the condition of the distractors, ordered by the mean over methods.
+
+    Where two traversals have one condition, their names tell them apart.
+    """
+    table = table.assign(pool=_pools(table))
+    means = table.groupby("pool", sort=False)["DAR"].mean().sort_values()
     order = [*(name for name in means.index if name != "none"), "none"]
     figure = Figure(figsize=(6.4, 3.4))
     axes = figure.subplots()
     for method, rows in table.groupby("method", sort=False):
-        values = rows.set_index("condition")["DAR"]
-        curve(axes, range(len(order)), [values[name] for name in order], method, list(titles))
-    labels = [f"{name}\n(query)" if name == query_condition else name for name in order]
+        rows = rows.set_index("pool").loc[order]
+        curve(axes, range(len(order)), rows["DAR"].to_list(), method, list(titles))
+        _draw_reported(axes, range(len(order)), rows, method, titles)
+    query = table["pool"].iloc[0] if "traversal" in table else query_condition
+    labels = [f"{name}\n(query)" if name == query else name for name in order]
     axes.set_xticks(range(len(order)), labels)
     axes.set_xlabel("Distractor set")
     percent_axis(axes, f"DAR@{k} (%)")
     figure.tight_layout()
-    method_legend(figure, titles)
+    method_legend(figure, titles, reported=_has_reported(table))
     return embed(figure, f"DAR@{k} by the condition of the distractors, {source}")
+
+
+def _pools(table: pd.DataFrame) -> pd.Series:
+    """Printed name of each pool: its condition, with the traversal where several have that condition."""
+    if "traversal" not in table:
+        return table["condition"]
+    several = table.groupby("condition")["traversal"].nunique()
+    both = table["condition"] + "\n" + table["traversal"]
+    return table["condition"].where(table["condition"].map(several) == 1, both)
 
 
 def reported_condition() -> HTML:

@@ -62,7 +62,7 @@ def picture(traversal: Traversal, index: int) -> np.ndarray:
 
 
 def distractor_story(measured: Measured) -> HTML:
-    """Fig. 1: one query, the image of its place, and the distractor that outranks it, with their similarities.
+    """Fig. 1: one query, the image of its place, and the distractor that outranks it, with what ranks them.
 
     The query shown is a typical one: of all that distractors take, the one with the median margin. The evaluation must
     hold retrieval lists of the query pool.
@@ -71,9 +71,9 @@ def distractor_story(measured: Measured) -> HTML:
     lost = _lost(result)
     if nothing := _nothing_to_show(dataset, lost):
         return nothing
-    top, cosine = result.retrieved(1, distractors=True)
+    top, score = result.retrieved(1, distractors=True)
     place, alone = result.retrieved(1, distractors=False)
-    margins = cosine[lost, 0] - alone[lost, 0]
+    margins = score[lost, 0] - alone[lost, 0]
     query = lost[np.argsort(margins, kind="stable")[len(lost) // 2]]
     distractor = int(top[query, 0]) - result.ranking.n_database
     away = _away(dataset, result, query, distractor)
@@ -89,22 +89,25 @@ def distractor_story(measured: Measured) -> HTML:
         axes = figure.add_axes(box)
         show_image(axes, picture(traversal, index), colour)
         axes.set_title(title, fontsize=9.5, pad=4)
-    _similarity_arrow(figure, 0.68, 0.6778, alone[query, 0], RIGHT_COLOUR, 2)
-    _similarity_arrow(figure, 0.3, 0.3022, cosine[query, 0], WRONG_COLOUR, 4)
-    text = (
-        f"A query of {dataset.title}; the image of its place has cosine {alone[query, 0]:.3f}, a distractor {away} "
-        f"away has {cosine[query, 0]:.3f}"
-    )
+    of_place, of_distractor = (_score(measured, values[query, 0]) for values in (alone, score))
+    _score_arrow(figure, 0.68, 0.6778, of_place, RIGHT_COLOUR, 2)
+    _score_arrow(figure, 0.3, 0.3022, of_distractor, WRONG_COLOUR, 4)
+    text = f"A query of {dataset.title}; the image of its place has {of_place}, a distractor {away} away has {of_distractor}"
     return embed(figure, text, form="jpeg", width=760)
 
 
-def _similarity_arrow(figure: Figure, end: float, beside: float, cosine: float, colour: str, width: float) -> None:
-    """Draw an arrow from the query to the height ``end``, with its similarity at the height ``beside``."""
+def _score(measured: Measured, value: float) -> str:
+    """What an image is ranked by, in words."""
+    return f"{value:.0f} matches" if measured.score == "matches" else f"cosine {value:.3f}"
+
+
+def _score_arrow(figure: Figure, end: float, beside: float, score: str, colour: str, width: float) -> None:
+    """Draw an arrow from the query to the height ``end``, with a score at the height ``beside``."""
     arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": width}
     ends, within = [(0.61, end), (0.39, 0.49)], {"xycoords": "figure fraction", "annotation_clip": False}
     figure.add_artist(Annotation("", *ends, arrowprops=arrow, **within))
     style = {"ha": "center", "va": "center", "fontsize": 10, "weight": "bold"}
-    figure.text(0.5, beside, f"cosine {cosine:.3f}", color=colour, **style)
+    figure.text(0.5, beside, score, color=colour, **style)
 
 
 def recovered_strips(erased: Erased, view: str, n: int = 4) -> HTML:

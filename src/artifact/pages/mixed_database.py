@@ -24,6 +24,7 @@ from artifact.pages.style import (
     bare,
     colour_handle,
     embed,
+    in_the_plane,
     legend_below,
 )
 from artifact.pages.suppression import NO_LOSS_PP
@@ -76,30 +77,26 @@ def _draw_map(axes: Axes, one: MixedDatabase, result: Evaluation, *, with_added:
     places, starts = data.database.positions[one.database], result.query_positions
     ends = (np.concatenate([places, added]) if with_added else places)[result.retrieved(1, distractors=False)[0][:, 0]]
     right = np.linalg.norm(ends - starts, axis=1) <= data.threshold
+    origin = places.mean(axis=0)
     shown = np.linspace(0, len(starts) - 1, min(_MATCHES, len(starts))).round().astype(int)
-    begin, end = _in_the_plane(starts), _in_the_plane(ends)
+    begin, end = in_the_plane(starts, origin), in_the_plane(ends, origin)
     for colour, chosen, width, order in (
         (WRONG_COLOUR, shown[~right[shown]], 0.7, 2),
         (RIGHT_COLOUR, shown[right[shown]], 2.6, 6),
     ):
         lines = np.stack([begin[chosen], end[chosen]], axis=1)
         axes.add_collection(LineCollection(lines, colors=colour, linewidths=width, alpha=0.75, zorder=order))
-    axes.scatter(*_in_the_plane(places).T, s=14, color=DATABASE_COLOUR, zorder=4, linewidths=0)
+    axes.scatter(*in_the_plane(places, origin).T, s=14, color=DATABASE_COLOUR, zorder=4, linewidths=0)
     axes.scatter(*begin.T, s=5, color=QUERY_COLOUR, zorder=5, linewidths=0)
     if len(one.fitted_queries):
-        fitted = _in_the_plane(data.query.positions[one.fitted_queries])
+        fitted = in_the_plane(data.query.positions[one.fitted_queries], origin)
         axes.scatter(*fitted.T, s=14, color=FITTING_COLOUR, zorder=7, linewidths=0)
     if with_added and len(added):
         dots = {"color": DISTRACTOR_COLOUR, "edgecolors": "white", "linewidths": 0.4}
-        axes.scatter(*_in_the_plane(added).T, s=16, zorder=8, **dots)
+        axes.scatter(*in_the_plane(added, origin).T, s=16, zorder=8, **dots)
     axes.autoscale()
     axes.set_aspect("equal", adjustable="datalim")
     bare(axes, "0.7")
-
-
-def _in_the_plane(positions: np.ndarray) -> np.ndarray:
-    """Positions as points of a map; those along one axis lie on a line."""
-    return np.column_stack([positions, np.zeros(len(positions))])[:, :2]
 
 
 def _map_legend(figure: Figure, conditions: Sequence[str], *, with_fit: bool) -> None:
@@ -146,7 +143,7 @@ def reported_mixed_table(name: str) -> HTML:
     wide = frame.pivot_table(index="method", columns=column, values="recall_percent", sort=False)
     titles = reported.method_titles()
     rows = [_before_and_after(titles[method], row.to_dict()) for method, row in wide.iterrows()]
-    return table(rows, text=1, caption="Reported by the paper for RobotCar; not measured here.")
+    return table(rows, text=1, caption="Reported by the paper for RobotCar, not from this run.")
 
 
 def _before_and_after(title: str, recalls: Mapping[str, float]) -> dict[str, object]:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from artifact.datasets import Dataset
 from artifact.datasets.positives import positives_of
 from artifact.pages.common import join, markup, number, table
-from artifact.pages.style import DATABASE_COLOUR, QUERY_COLOUR, embed
+from artifact.pages.style import DATABASE_COLOUR, QUERY_COLOUR, embed, in_the_plane
 from artifact.studies.preview import in_words
 
 
@@ -51,9 +51,10 @@ def positions_figure(dataset: Dataset) -> HTML:
     """
     figure = Figure(figsize=(8.0, 3.2))
     where, positives = figure.subplots(1, 2)
+    origin = dataset.database.positions.mean(axis=0)
     for part, colour, height in ((dataset.database, DATABASE_COLOUR, 0.0), (dataset.query, QUERY_COLOUR, 1.0)):
-        x = part.positions[:, 0]
-        y = part.positions[:, 1] if part.positions.shape[1] > 1 else np.full(len(x), height)
+        x, y = in_the_plane(part.positions, origin).T
+        y = y + height if part.positions.shape[1] == 1 else y
         where.plot(x, y, ".", color=colour, markersize=2.5, label=f"{part.name} ({len(part)})")
     if dataset.query.positions.shape[1] > 1:
         where.set_aspect("equal", adjustable="datalim")

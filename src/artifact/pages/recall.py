@@ -79,7 +79,7 @@ def reported_recall_table() -> HTML:
             columns.append(_Column(part["percent"].tolist(), part["mark"].fillna("").tolist(), ranks))
         groups.append((reported.dataset_titles().get(name, "Mean"), columns))
     _, last = groups.pop()
-    return _in_the_papers_form(list(titles.values()), groups, last, 1, "Reported by the paper (not measured here).")
+    return _in_the_papers_form(list(titles.values()), groups, last, 1, "Reported by the paper, not from this run.")
 
 
 def _in_the_papers_form(

@@ -15,16 +15,12 @@ from artifact.manifest import TYPED_IN, Manifest
 from artifact.manifest.entries import ManifestError
 from artifact.pages.style import use_style
 from artifact.studies import preview
-from artifact.studies.common import single_stage
+from artifact.studies.common import NothingToShowError, single_stage
 
 __all__ = ["NothingToShowError", "Page", "open_page"]
 
 
 MADE = "Rehearsal: made descriptors. No number on this page is a result; it shows that the page can be made."
-
-
-class NothingToShowError(ManifestError):
-    """No dataset of the run has what a page needs; the page then says so instead of failing the run."""
 
 
 @dataclass(frozen=True)

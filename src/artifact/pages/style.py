@@ -19,6 +19,8 @@ from matplotlib.lines import Line2D
 
 from artifact.pages.common import markup
 
+_DEEP_IN_THE_EARTH_M = 6e6  # no plane coordinates with a height are so far from their origin
+
 QUERY_COLOUR = "#78a0ff"
 DISTRACTOR_COLOUR = "#0000ff"
 DATABASE_COLOUR = "#ffa500"
@@ -91,10 +93,12 @@ def legend_below(figure: Figure, handles: Sequence[Artist] | None = None, *, col
     figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=columns)
 
 
-def method_legend(figure: Figure, titles: Mapping[str, str]) -> None:
-    """Draw one legend of all methods below a figure."""
+def method_legend(figure: Figure, titles: Mapping[str, str], *, reported: bool = False) -> None:
+    """Draw one legend of all methods below a figure, with the dashed line of the paper's values if there is one."""
     names = list(titles)
     handles = [Line2D([], [], linestyle="none", label=titles[n], **marker_options(n, names)) for n in names]
+    if reported:
+        handles.append(Line2D([], [], linestyle=(0, (4, 2)), color="0.3", alpha=0.55, linewidth=2.6, label="the paper"))
     legend_below(figure, handles, columns=4)
 
 
@@ -120,6 +124,18 @@ def bare(axes: Axes, colour: str | None = None, width: float = 0.8) -> None:
     """Take the ticks off a panel, and its frame too unless that has a colour."""
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set(visible=colour is not None, edgecolor=colour, linewidth=width)
+
+
+def in_the_plane(positions: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Return positions ``(n, p)`` as points ``(n, 2)`` of a map: east and north.
+
+    Those along one axis lie on a line; earth-centred ones are seen from above ``origin``.
+    """
+    if positions.shape[1] == 3 and np.linalg.norm(origin) > _DEEP_IN_THE_EARTH_M:
+        up = origin / np.linalg.norm(origin)
+        east = np.array([-up[1], up[0], 0.0]) / np.hypot(up[0], up[1])
+        return (positions - origin) @ np.column_stack([east, np.cross(up, east)])
+    return np.column_stack([positions, np.zeros(len(positions))])[:, :2]
 
 
 def show_image(axes: Axes, image: np.ndarray, frame: str | None = None) -> None:

@@ -10,11 +10,16 @@ import numpy as np
 import pandas as pd
 
 from artifact.manifest import Manifest
+from artifact.manifest.entries import ManifestError
 from artifact.metrics.statistics import interval_of_means
 from artifact.studies.evaluated import Measured
 
 PERCENT = 100.0
 METRICS = ("R", "DAR", "RSR")
+
+
+class NothingToShowError(ManifestError):
+    """No dataset of the run has what a page needs; the page then says so instead of failing the run."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,12 @@ def single_stage(manifest: Manifest, methods: Iterable[str]) -> list[str]:
     never passed off as the method.
     """
     return [method for method in methods if manifest.method(method).rerank is None]
+
+
+def require_single_stage(manifest: Manifest, method: str) -> None:
+    """Raise :class:`ManifestError` for a two-stage method; see :func:`single_stage`."""
+    if not single_stage(manifest, [method]):
+        raise ManifestError(f"method {method!r} re-ranks; suppression and mixed databases take methods of one stage")
 
 
 def percent_interval(values: np.ndarray, evaluation: Any, *, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

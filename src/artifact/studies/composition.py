@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
+from artifact import datasets
 from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.metrics.evaluate import evaluate
@@ -63,7 +64,7 @@ def single_against_multi(
                 manifest, names, method, suppressor, fraction=fraction, iterations=iterations, seed=seed
             )
             for name, one in described.items():
-                region = fitted.split_of(one, fraction)
+                region = fitted.split_of(one.dataset, fraction)
                 views = {"single": erasure.single[name], "multi": erasure.composed}
                 found = fitted.evaluate_region(one, region, views, seed=seed)
                 row: dict[str, Any] = {
@@ -119,7 +120,7 @@ def irrelevant_conditions(
                     for suppressor in LOW_RANK
                 }
                 described = describe(manifest, name, method, [query, database])
-                places = fitted_places(manifest, chosen, name, method, fraction)
+                places = fitted_places(manifest, chosen, name, fraction)
                 result = _evaluate_pair(described, query, database, places, erasures, seed)
                 conditions = [entry.traversals[traversal].condition for traversal in (query, database)]
                 pair = "–".join(conditions) if len(set(conditions)) > 1 else f"{query}–{database}"
@@ -150,7 +151,7 @@ def _is_pair(manifest: Manifest, other: str, name: str, query: str, database: st
 
 
 def fitted_places(
-    manifest: Manifest, names: Iterable[str], name: str, method: str, fraction: float
+    manifest: Manifest, names: Iterable[str], name: str, fraction: float
 ) -> list[tuple[np.ndarray, float]]:
     """Return the places that transforms of several datasets were fitted on, in the coordinates of one dataset.
 
@@ -167,9 +168,9 @@ def fitted_places(
     shared = [other for other in names if frame(other) == frame(name)]
     found = []
     for other in shared:
-        one = describe(manifest, other, method)
-        rows = fitted.split_of(one, fraction).fit_queries
-        found.append((one.dataset.query.positions[rows], one.dataset.threshold))
+        dataset = datasets.load(manifest, other)
+        rows = fitted.split_of(dataset, fraction).fit_queries
+        found.append((dataset.query.positions[rows], dataset.threshold))
     return found
 
 

@@ -14,8 +14,11 @@ from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.metrics.stored import stored
 from artifact.studies import fitted
+from artifact.studies.common import NothingToShowError, require_single_stage
 from artifact.studies.fitted import key_of
 from artifact.suppression.inlp import INLP
+
+_FEWEST = 6  # images that UMAP can place
 
 
 @dataclass(frozen=True)
@@ -44,9 +47,23 @@ class Embedding:
 def embedding(
     manifest: Manifest, dataset: str, method: str, *, fraction: float = 0.1, iterations: int = 35, seed: int = 0
 ) -> Embedding:
-    """Fig. 3: UMAP of the evaluation region's descriptors before and after INLP."""
+    """Fig. 3: UMAP of the evaluation region's descriptors before and after INLP.
+
+    Raises
+    ------
+    NothingToShowError
+        If the fitting region has fewer than two images of a condition, or the rest is too small for a map.
+    """
+    require_single_stage(manifest, method)
     described = describe(manifest, dataset, method)
-    region = fitted.split_of(described, fraction)
+    region = fitted.split_of(described.dataset, fraction)
+    sizes = len(region.fit_queries), len(region.fit_database)
+    rest = len(region.evaluation_queries) + len(region.evaluation_database)
+    if min(sizes) < 2 or rest < _FEWEST:
+        raise NothingToShowError(
+            f"{described.dataset.title} has too few images for a map: {sizes[0]} queries and {sizes[1]} database images to fit on "
+            f"(2 of each are needed), {rest} images to show ({_FEWEST} are needed)"
+        )
     loaded = described.dataset
     places = loaded.query.positions[region.evaluation_queries], loaded.database.positions[region.evaluation_database]
     key = key_of("umap", [described], [fraction, iterations, seed], umap=version("umap-learn"))

@@ -15,7 +15,7 @@ from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.stored import stored
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies import fitted
-from artifact.studies.common import PERCENT
+from artifact.studies.common import PERCENT, require_single_stage
 from artifact.suppression.inlp import INLP
 from artifact.suppression.leace import LEACE
 from artifact.suppression.regions import Split
@@ -61,8 +61,9 @@ def what_is_erased(
     manifest: Manifest, dataset: str, method: str, *, fraction: float = 0.1, iterations: int = 35, seed: int = 0
 ) -> Erased:
     """Compare original and suppressed descriptors: similarities, every INLP iteration, each query's top image."""
+    require_single_stage(manifest, method)
     described = describe(manifest, dataset, method)
-    region = fitted.split_of(described, fraction)
+    region = fitted.split_of(described.dataset, fraction)
     key = fitted.key_of("erased", [described], [fraction, iterations, seed, PAIRS])
 
     def compute() -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -44,12 +44,15 @@ class Measured:
         Name of the method.
     inputs
         One record per traversal used: names, number of images, descriptor key and source.
+    score
+        What the last stage ranks by, as the values of retrieval lists: ``"cosine"`` or ``"matches"`` of local features.
     """
 
     evaluation: Evaluation
     dataset: Dataset
     method: str
     inputs: tuple[dict[str, Any], ...]
+    score: Literal["cosine", "matches"] = "cosine"
 
 
 def evaluation(
@@ -189,4 +192,5 @@ def _two_stage(
     key = store.key(stage="two-stage ranking", retrieve=retrieve, **shared)
     arrays = stored(manifest, key, compute, {**record, "stage": "two-stage ranking"})
     result = two_stage.TwoStageEvaluation.from_arrays(arrays, sweep_of)
-    return Measured(result, loaded, method, described.inputs)
+    score: Literal["cosine", "matches"] = "cosine" if entry.local_features is None else "matches"
+    return Measured(result, loaded, method, described.inputs, score)

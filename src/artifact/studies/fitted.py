@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from artifact import store, suppression
+from artifact.datasets import Dataset
 from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.metrics.evaluate import evaluate
@@ -109,14 +110,11 @@ def fit(X: np.ndarray, condition: np.ndarray, *, iterations: int = 35, seed: int
 
 
 def split_of(
-    described: Described, fraction: float, evaluation_fraction: float | None = None, where: Where = "centre"
-) -> Split:  # fmt: skip
-    """Split a described dataset by its positions."""
-    data = described.dataset
-    return split(
-        data.query.positions, data.database.positions, data.threshold, fraction,
-        evaluation_fraction=evaluation_fraction, where=where,
-    )  # fmt: skip
+    dataset: Dataset, fraction: float, evaluation_fraction: float | None = None, where: Where = "centre"
+) -> Split:
+    """Split the pair of a dataset by its positions."""
+    places = dataset.query.positions, dataset.database.positions, dataset.threshold
+    return split(*places, fraction, evaluation_fraction=evaluation_fraction, where=where)
 
 
 def evaluate_region(described: Described, where: Split, views: Mapping[str, Any], **options: Any) -> Evaluation:
@@ -149,7 +147,7 @@ def compare(
         Seed of INLP and of the probe.
     """
     described = describe(manifest, dataset, method)
-    where = split_of(described, fraction)
+    where = split_of(described.dataset, fraction)
     key = key_of("compare", [described], [fraction, iterations, seed])
 
     def compute() -> dict[str, Any]:
@@ -199,7 +197,7 @@ def by_fraction(
         What was evaluated.
     """
     described = describe(manifest, dataset, method)
-    regions = {fraction: split_of(described, fraction, 0.5) for fraction in fractions}
+    regions = {fraction: split_of(described.dataset, fraction, 0.5) for fraction in fractions}
     usable = {f: r for f, r in regions.items() if min(len(r.fit_queries), len(r.fit_database)) >= 2}
     key = key_of("fractions", [described], [list(usable), iterations, seed])
 
@@ -271,7 +269,7 @@ def sequential(
     def compute() -> dict[str, Any]:
         composed, arrays = None, {}
         for number, one in enumerate(described.values()):
-            X, condition = fitting_data(one, split_of(one, fraction))
+            X, condition = fitting_data(one, split_of(one.dataset, fraction))
             single = _fitted(suppressor, X, condition, iterations, seed)
             arrays |= _parts(f"single {number}", single)
             if composed is None:

@@ -17,7 +17,7 @@ from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.stored import stored
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies import fitted, reported
-from artifact.studies.common import PERCENT, is_reported, percent_interval
+from artifact.studies.common import PERCENT, is_reported, percent_interval, require_single_stage
 from artifact.studies.fitted import key_of
 from artifact.suppression.inlp import INLP
 from artifact.suppression.lowrank import LowRankMap
@@ -86,7 +86,7 @@ def mixed_database_suppressed(
 ) -> MixedDatabase:
     """Fig. 9: the mixed database before and after INLP, fitted on a slice from the edge of the map."""
     described, added = _with_added(manifest, dataset, method, share, seed)
-    region = fitted.split_of(described, fraction, where="edge")
+    region = fitted.split_of(described.dataset, fraction, where="edge")
     places = described.dataset.traversals[_same_condition(manifest, dataset)].positions[added]
     fitting_places = described.dataset.query.positions[region.fit_queries]
     apart = np.linalg.norm(places[:, None] - fitting_places[None], axis=2).min(axis=1) > described.dataset.threshold
@@ -114,6 +114,7 @@ def _same_condition(manifest: Manifest, dataset: str) -> str:
 def _with_added(
     manifest: Manifest, dataset: str, method: str, share: float, seed: int
 ) -> tuple[Described, np.ndarray]:  # fmt: skip
+    require_single_stage(manifest, method)
     name = _same_condition(manifest, dataset)
     described = describe(manifest, dataset, method, [name])
     n = len(described.dataset.traversals[name])

@@ -28,7 +28,7 @@ from artifact.metrics.stored import stored
 from artifact.ranking import one_pass
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies import fitted
-from artifact.studies.common import PERCENT, Study, origin
+from artifact.studies.common import PERCENT, Study, origin, single_stage
 from artifact.studies.evaluated import Measured
 from artifact.suppression.inlp import INLP
 from artifact.suppression.leace import LEACE
@@ -75,9 +75,9 @@ def within_session(
     """
     rows, inputs = [], []
     for name in names:
-        for method in methods:
+        for method in single_stage(manifest, methods):
             described = describe(manifest, name, method)
-            region = fitted.split_of(described, fraction)
+            region = fitted.split_of(described.dataset, fraction)
             measures = appearance(described.dataset.query, manifest.cache)
             for statistic in statistics:
                 values = measures[:, STATISTICS.index(statistic)]
