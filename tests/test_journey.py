@@ -139,7 +139,9 @@ def test_a_page_that_no_dataset_suits_says_so_and_fails_nothing(tiny):
         status, output = artifact(project, "run", "--profile", "frames", "--only", "fig07", "-p", "dataset=street")
         assert status == 0, output
         assert "'street' is not one" in nbformat.writes(executed(project)["fig07"])
-        status, output = artifact(project, "run", "--profile", "frames", "--only", "fig07", "-p", "fig07.dataset=street")
+        status, output = artifact(
+            project, "run", "--profile", "frames", "--only", "fig07", "-p", "fig07.dataset=street"
+        )
         assert status == 1
         assert "fig07.py" in output
         assert "distractor_traversals" in output

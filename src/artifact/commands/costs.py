@@ -218,7 +218,7 @@ def _suppression(pair: Pair, rates: Mapping[str, float]) -> Iterator[Step]:
     yield Step(
         "suppressed",
         viewed + grown + standardised + rescaled,
-        _PROCESS + _TILES + 3 * region.bytes,
+        _PROCESS + _TILES + 2 * region.bytes,
         (1 + 4 + 2 * len(FRACTIONS)) * _KEPT * pair.queries,
     )
     rows = min(region.queries, region.database)  # of both conditions in one half, to train on; as many to test on

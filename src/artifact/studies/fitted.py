@@ -125,8 +125,13 @@ def evaluate_region(described: Described, where: Split, views: Mapping[str, Any]
 
 def evaluate_standardised(described: Described, where: Split, standardise: STD, **options: Any) -> Evaluation:
     """Evaluate the evaluation region under STD; distractors carry the query condition."""
-    region = evaluation_region(described, where)
-    rescaled = standardise.transform(region.queries, QUERY), standardise.transform(region.database, DATABASE)
+    region = evaluation_region(
+        described, where
+    )  # copies, which may be changed: they can be as large as the memory allows
+    rescaled = (
+        standardise.transform(region.queries, QUERY, copy=False),
+        standardise.transform(region.database, DATABASE, copy=False),
+    )
     return evaluate(*rescaled, *region.places, **options)
 
 

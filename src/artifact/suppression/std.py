@@ -66,8 +66,10 @@ class STD(BaseEstimator):
         fitted.conditions_, fitted.mean_, fitted.scale_ = conditions, mean, scale
         return fitted
 
-    def transform(self, X: np.ndarray, condition: np.ndarray | int) -> np.ndarray:
+    def transform(self, X: np.ndarray, condition: np.ndarray | int | str, *, copy: bool = True) -> np.ndarray:
         """Standardise descriptors ``(n, d)`` by their conditions, ``(n,)`` or one for all; the dtype is kept.
+
+        With ``copy=False`` floats of 32 or 64 bits are changed in place.
 
         Raises
         ------
@@ -89,7 +91,7 @@ class STD(BaseEstimator):
         index = np.searchsorted(self.conditions_, rows)
         kind = X.dtype if X.dtype in (np.float32, np.float64) else np.float32
         mean, scale = self.mean_.astype(kind), self.scale_.astype(kind)
-        out = np.empty(X.shape, kind)
+        out = np.empty(X.shape, kind) if copy or X.dtype != kind else X
         for start in range(0, len(X), _BLOCK):
             block = slice(start, start + _BLOCK)
             np.subtract(X[block], mean[index[block]], out=out[block], casting="same_kind")
