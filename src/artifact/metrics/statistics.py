@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import kendalltau
 
 from artifact.metrics.evaluation import Evaluation
 
@@ -126,4 +125,6 @@ def rank_agreement(values: np.ndarray, other_values: np.ndarray) -> float:
     >>> round(rank_agreement(np.array([1.0, 2.0, 3.0]), np.array([1.0, 3.0, 2.0])), 9)
     0.333333333
     """
+    from scipy.stats import kendalltau  # takes a second to import, which most pages need not wait for
+
     return float(kendalltau(values, other_values).statistic) if len(values) > 1 else float("nan")
