@@ -38,7 +38,7 @@ rehearsal: $(VENV)/.ready ## the whole paper on made descriptors: every page, no
 	@$(RUN) reproduce --profile rehearsal
 
 test: $(VENV)/.ready ## run all tests
-	@$(VENV)/bin/python -m pytest $(ARGS)
+	@$(VENV)/bin/python -m pytest --numprocesses 2 --dist loadfile $(ARGS)
 
 book: $(VENV)/.ready ## build the book from the executed notebooks, running none
 	@$(RUN) book

@@ -174,7 +174,11 @@ def in_words(facts: dict[str, Any]) -> str:
     """
     some = f"{facts['evaluated']} evaluated, {facts['excluded']} without a positive"
     evaluated = some if facts["excluded"] else "all evaluated"
-    start = f"{facts['queries']} queries ({evaluated}), {facts['database']} database images; positives within {facts['threshold']}"
+    exact = facts["threshold"] == "exact match"
+    how = "by exact match" if exact else f"within {facts['threshold']}"
+    start = f"{facts['queries']} queries ({evaluated}), {facts['database']} database images; positives {how}"
     if not facts["evaluated"]:
         return f"{start}: none, the nearest database image is at {facts['nearest']:g}"
+    if facts["fewest"] == facts["most"]:
+        return f"{start}: {facts['most']} for every query"
     return f"{start}: {facts['fewest']} to {facts['most']} for a query, median {facts['median']:g}"
