@@ -103,3 +103,67 @@ def test_every_command_runs_as_printed(clone):
     assert suppressed.count("STD") == 3
     assert not (clone / "book" / "_build").exists(), "make clean is the last"
     assert (clone / "q_leace.npy").exists()
+
+
+# -- set-up on other people's machines ------------------------------------------------------------------------------
+
+
+def made(folder, *arguments, **environment):
+    """Run make in a folder with the repository's Makefile."""
+    for file in ("Makefile", "environment.txt", "pyproject.toml"):
+        if not (folder / file).exists():
+            shutil.copy(REPOSITORY / file, folder / file)
+    clean = {
+        name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MAKEFLAGS", "ARTIFACT_CACHE")
+    }
+    return subprocess.run(
+        ["make", *arguments],
+        cwd=folder,
+        env=clean | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+
+
+def test_an_environment_that_was_moved_is_made_again(tmp_path):
+    assert "creating .venv" in made(tmp_path, "-n", "status").stdout
+    ready = tmp_path / ".venv" / ".ready"
+    ready.parent.mkdir()
+    ready.write_text(f"{tmp_path}\n")
+    assert "creating" not in made(tmp_path, "-n", "status").stdout
+    ready.write_text("/somewhere/else\n")
+    assert "creating .venv" in made(tmp_path, "-n", "status").stdout
+
+
+def test_set_up_takes_the_index_that_is_asked_for(tmp_path):
+    plain = made(tmp_path, "-n", "setup").stdout
+    assert re.search(r"pip install .*torch==[\d.]+ *$", plain, re.MULTILINE)
+    asked = made(tmp_path, "-n", "setup", "TORCH_INDEX=https://example.org/cpu").stdout
+    assert re.search(r"torch==[\d.]+ --index-url https://example.org/cpu$", asked, re.MULTILINE)
+
+
+@pytest.fixture
+def doctor(tmp_path):
+    """A folder with the one file that `make doctor` runs."""
+    script = tmp_path / "src" / "artifact" / "commands" / "doctor.py"
+    script.parent.mkdir(parents=True)
+    shutil.copy(REPOSITORY / "src" / "artifact" / "commands" / "doctor.py", script)
+    return tmp_path
+
+
+def test_the_doctor_finds_nothing_wrong_or_says_what_is(doctor):
+    done = made(doctor, "doctor")
+    assert (done.returncode, done.stdout[:16]) == (0, "nothing is wrong")
+    done = made(doctor, "doctor", PYTHONPATH="/elsewhere")
+    assert done.returncode != 0
+    assert "PYTHONPATH is set to '/elsewhere'" in done.stdout
+    (doctor / "a file").touch()
+    done = made(doctor, "doctor", ARTIFACT_CACHE=str(doctor / "a file"))
+    assert "a file cannot be written" in done.stdout
+    broken = doctor / ".venv" / "bin" / "python"
+    broken.parent.mkdir(parents=True)
+    broken.write_text("#!/bin/sh\nexit 1\n")
+    broken.chmod(0o755)
+    assert "the environment is broken; delete it and run make setup" in made(doctor, "doctor").stdout

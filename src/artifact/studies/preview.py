@@ -170,7 +170,7 @@ def in_words(facts: dict[str, Any]) -> str:
     Examples
     --------
     >>> in_words({"threshold": "25 m", **counts(np.arange(4.0)[:, None] * 20, np.arange(3.0)[:, None] * 20, 25.0)})
-    '4 queries (all evaluated), 3 database images; positives within 25 m: 1 to 3 for a query, median 2.5'
+    '4 queries (all evaluated), 3 database images; positives within 25 m: 1 to 3 for a query, median 2'
     """
     some = f"{facts['evaluated']} evaluated, {facts['excluded']} without a positive"
     evaluated = some if facts["excluded"] else "all evaluated"
