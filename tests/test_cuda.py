@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from filled_weights import filled, images
@@ -71,6 +72,7 @@ def test_counts_equal_those_of_the_cpu(memory):
         for ties in ("for", "against"):
             ranks = [result.ranks(distractors=distractors, ties=ties) for result in (here, there)]
             np.testing.assert_array_equal(*ranks)
+    pd.testing.assert_frame_equal(here.per_query(), there.per_query())
     distances = [25.0, 100.0, np.inf]
     np.testing.assert_array_equal(here.dar_by_distance(distances), there.dar_by_distance(distances))
 

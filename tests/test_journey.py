@@ -155,16 +155,20 @@ def test_a_failing_notebook_fails_the_run_and_is_named(tiny):
     project, _ = tiny
     path = project / "notebooks" / "fig05.py"
     kept = path.read_text()
+    pages = {page: page.read_bytes() for page in (project / "book" / "executed").glob("*.ipynb")}
     path.write_text(kept + "\n\n# %%\nraise RuntimeError('the sky fell')\n")
     try:
-        status, output = artifact(project, "run")
+        status, output = artifact(project, "run", "-p", "tab03.k=2")
         assert status == 1
         assert re.search(r"error: notebooks/fig05.py: cell \d+: RuntimeError: the sky fell", output)
-        assert not (project / "book" / "executed" / "fig05.ipynb").exists()
+        now = {page: page.read_bytes() for page in (project / "book" / "executed").glob("*.ipynb")}
+        assert now == pages, "the pages of the last good run stay, all of them"
+        (project / "book" / "executed" / "fig05.ipynb").rename(project / "fig05.ipynb")
         status, output = artifact(project, "book")
         assert status == 1
         assert "pages are missing, first" in output
         assert "executed/fig05" in output
+        (project / "fig05.ipynb").rename(project / "book" / "executed" / "fig05.ipynb")
     finally:
         path.write_text(kept)
     status, output = artifact(project, "run")

@@ -81,6 +81,7 @@ class Outcome:
     seconds: float
     parameters: dict[str, Any] = field(repr=False)
     error: str | None = None
+    stored: Path | None = None
 
 
 def plan(
@@ -205,6 +206,8 @@ def run(
 ) -> list[Outcome]:
     """Run the tasks that have no stored result, in parallel, and put all executed notebooks into ``output``.
 
+    If one fails, ``output`` keeps the pages of the last run that succeeded, and no page of this one.
+
     Parameters
     ----------
     manifest, tasks
@@ -231,7 +234,7 @@ def run(
     ):
 
         def one(task: Task) -> Outcome:
-            outcome = _run_one(manifest, task, _key(manifest, task, shared, fingerprints), output, force=force)
+            outcome = _run_one(manifest, task, _key(manifest, task, shared, fingerprints), force=force)
             bar.update()
             return outcome
 
@@ -239,6 +242,9 @@ def run(
     failed = [outcome for outcome in outcomes if outcome.error]
     if failed:
         raise NotebookError("\n".join(outcome.error for outcome in failed if outcome.error))
+    for outcome in outcomes:
+        with store.replacing(output / f"{outcome.name}.ipynb") as temporary:
+            shutil.copyfile(str(outcome.stored), temporary)
     return outcomes
 
 
@@ -263,9 +269,8 @@ def _environment_of_kernels(manifest: Manifest) -> Iterator[None]:
         os.environ |= before
 
 
-def _run_one(manifest: Manifest, task: Task, key: str, output: Path, *, force: bool) -> Outcome:
+def _run_one(manifest: Manifest, task: Task, key: str, *, force: bool) -> Outcome:
     stored = manifest.cache / "notebooks" / f"{task.name}-{key[:24]}.ipynb"
-    target = output / f"{task.name}.ipynb"
     record = stored.with_suffix(".json")
     with store.lock(stored):
         cached = stored.exists() and record.exists() and not force
@@ -277,14 +282,11 @@ def _run_one(manifest: Manifest, task: Task, key: str, output: Path, *, force: b
                 if fault.ename == NothingToShowError.__name__ and not task.dataset_asked:
                     _write_empty_page(task, stored, str(fault.evalue))
                 else:
-                    target.unlink(missing_ok=True)  # an older page must not pass for this run's
                     error = f"notebooks/{task.path.name}: cell {fault.cell_index + 1}: {fault.ename}: {fault.evalue}"
                     return Outcome(task.name, key, False, time.monotonic() - begun, task.parameters, error)
             store.write_json(record, {"key": key, "seconds": round(time.monotonic() - begun, 3)})
         seconds = store.read_json(record)["seconds"]
-    with store.replacing(target) as temporary:
-        shutil.copyfile(stored, temporary)
-    return Outcome(task.name, key, cached, seconds, task.parameters)
+    return Outcome(task.name, key, cached, seconds, task.parameters, stored=stored)
 
 
 def _execute(task: Task, stored: Path) -> None:
