@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from artifact_city.buildings import roof_at
 from artifact_city.kernel import kernel
 
 HEIGHT_CELL = 0.5  # metres; heights and shadows
@@ -91,19 +92,6 @@ def zone_map(polygons: list[tuple[np.ndarray, int]], extent: Extent) -> np.ndarr
         inside = (direction[:, 0] * offset[..., 1] - direction[:, 1] * offset[..., 0] > -1e-9).all(axis=1)
         zones.reshape(-1)[cells[inside]] = zone
     return zones
-
-
-@kernel
-def roof_at(house, x, y):
-    """Height of a building's roof above a point; negative outside its walls."""
-    rise = house.cap
-    for k in range(4):
-        inside = house.offset[k] - house.normal[k, 0] * x - house.normal[k, 1] * y
-        if inside < 0.0:
-            return -1.0
-        if house.slope[k] > 0.0:
-            rise = min(rise, house.slope[k] * inside)
-    return house.height + rise
 
 
 @kernel

@@ -7,10 +7,22 @@ from enum import IntEnum
 import numpy as np
 
 from artifact_city import palette
-from artifact_city.buildings import Building, Ground, Material, Windows, rectangle, wall_between
-from artifact_city.houses import CHARACTERS, church, town_house, villa
+from artifact_city.buildings import (
+    CHARACTERS,
+    Building,
+    Ground,
+    Material,
+    Windows,
+    church,
+    rectangle,
+    town_house,
+    villa,
+    wall_between,
+)
 from artifact_city.palette import choose
 from artifact_city.streets import N_COLUMNS, N_ROWS, TOTAL_HALF, WATER_HALF, Block, Kind, Plan, blocks, inset, meet
+
+HEDGE = {"material": Material.HEDGE, "wall": (0.035, 0.06, 0.02), "roof": (0.04, 0.07, 0.02)}
 
 
 class Zone(IntEnum):
@@ -136,19 +148,11 @@ def _yard_wall(corners: np.ndarray, rng: np.random.Generator) -> Building:
     front = np.array([corners[0], corners[1]])
     inwards = (corners[3] - corners[0]) / np.linalg.norm(corners[3] - corners[0])
     a, b = front + 0.35 * inwards
-    return wall_between(
-        a,
-        b,
-        0.5,
-        height=float(rng.uniform(2.0, 2.8)),
-        wall=choose(rng, palette.BRICK),
-        material=Material.BRICK,
-        ground=Ground.GATE if np.linalg.norm(b - a) > 5 else Ground.NONE,
-        ground_height=2.6,
-        accent=choose(rng, palette.DOOR),
-        seed=int(rng.integers(1 << 30)),
-        tags=frozenset({"wall"}),
-    )
+    look = {"material": Material.BRICK, "wall": choose(rng, palette.BRICK), "accent": choose(rng, palette.DOOR)}
+    if np.linalg.norm(b - a) > 5:
+        look |= {"ground": Ground.GATE, "ground_height": 2.6}
+    height, seed = float(rng.uniform(2.0, 2.8)), int(rng.integers(1 << 30))
+    return wall_between(a, b, 0.5, height=height, seed=seed, tags=frozenset({"wall"}), **look)
 
 
 def _villas(block: Block, rng: np.random.Generator, sides: tuple[int, ...] = (0, 1, 2, 3)) -> list[Building]:
@@ -166,36 +170,30 @@ def _villas(block: Block, rng: np.random.Generator, sides: tuple[int, ...] = (0,
 
 
 def _villa_lot(lot: np.ndarray, rng: np.random.Generator) -> list[Building]:
-    width = float(np.linalg.norm(lot[1] - lot[0]))
-    depth = float(np.linalg.norm(lot[3] - lot[0]))
-    setback = float(rng.uniform(3.0, 6.0))
+    width, depth = float(np.linalg.norm(lot[1] - lot[0])), float(np.linalg.norm(lot[3] - lot[0]))
+    setback, side = float(rng.uniform(3.0, 6.0)), rng.uniform(0.1, 0.24, 2) * width
     house_depth = min(float(rng.uniform(7.5, 10.5)), depth - setback - 3.0)
-    side = rng.uniform(0.1, 0.24, 2) * width
     plot = inset(lot, (setback, float(side[0]), max(2.0, depth - setback - house_depth), float(side[1])))
     found = [villa(rng, plot)]
     style = rng.random()
-    if style < 0.85:
-        fence = {
-            "height": float(rng.uniform(0.8, 1.5)),
-            "wall": (0.035, 0.06, 0.02),
-            "material": Material.HEDGE,
-            "roof": (0.04, 0.07, 0.02),
-        }
-        if style < 0.3:
-            fence |= {"material": Material.FENCE, "wall": choose(rng, palette.SIDING), "height": 1.0}
-        elif style < 0.5:
-            fence |= {"material": Material.BRICK, "wall": choose(rng, palette.BRICK), "height": 0.9}
-        along, inwards = (lot[1] - lot[0]) / width, (lot[3] - lot[0]) / depth
-        start, end = lot[0] + 0.3 * inwards, lot[1] + 0.3 * inwards
-        gate = float(rng.uniform(0.25, 0.75)) * width
-        thickness = 0.15 if fence["material"] == Material.FENCE else 0.45
-        shared = {"seed": int(rng.integers(1 << 30)), "tags": frozenset({"fence"}), **fence}
-        for a, b in (
-            (start + 0.2 * along, start + (gate - 1.6) * along),
-            (start + (gate + 1.6) * along, end - 0.2 * along),
-        ):
-            if (b - a) @ along > 0.6:
-                found.append(wall_between(a, b, thickness, **shared))
+    if style > 0.85:
+        return found
+    if style < 0.3:
+        thickness, fence = 0.15, {"material": Material.FENCE, "wall": choose(rng, palette.SIDING), "height": 1.0}
+    elif style < 0.5:
+        thickness, fence = 0.45, {"material": Material.BRICK, "wall": choose(rng, palette.BRICK), "height": 0.9}
+    else:
+        thickness, fence = 0.45, {**HEDGE, "height": float(rng.uniform(0.8, 1.5))}
+    along, inwards = (lot[1] - lot[0]) / width, (lot[3] - lot[0]) / depth
+    start, end = lot[0] + 0.3 * inwards, lot[1] + 0.3 * inwards
+    gate = float(rng.uniform(0.25, 0.75)) * width
+    shared = {"seed": int(rng.integers(1 << 30)), "tags": frozenset({"fence"}), **fence}
+    for a, b in (
+        (0.2 * along + start, start + (gate - 1.6) * along),
+        (start + (gate + 1.6) * along, end - 0.2 * along),
+    ):
+        if (b - a) @ along > 0.6:
+            found.append(wall_between(a, b, thickness, **shared))
     return found
 
 
@@ -209,15 +207,15 @@ def _square(block: Block, rng: np.random.Generator) -> list[Building]:
 
 
 def _park(block: Block, rng: np.random.Generator) -> list[Building]:
-    centre = block.corners.mean(axis=0)
-    roof = float(rng.uniform(0.5, 0.8))
+    """Build a pavilion, and hedges around it with an entrance in the middle of each side."""
+    centre = block.corners.mean(axis=0) + rng.uniform(-8, 8, 2)
     pavilion = Building(
-        rectangle(centre + rng.uniform(-8, 8, 2), float(rng.uniform(0, np.pi)), 7.5, 5.5),
+        rectangle(centre, float(rng.uniform(0, np.pi)), 7.5, 5.5),
         3.2,
         choose(rng, palette.SIDING),
         Material.SIDING,
-        roof_slopes=(roof,) * 4,
-        roof_cap=9.0,
+        slope=(float(rng.uniform(0.5, 0.8)),) * 4,
+        cap=9.0,
         roof=choose(rng, palette.ROOF),
         windows=Windows.CROSS,
         ground=Ground.HOUSE,
@@ -225,24 +223,10 @@ def _park(block: Block, rng: np.random.Generator) -> list[Building]:
         seed=int(rng.integers(1 << 30)),
         tags=frozenset({"landmark"}),
     )
-    found = [pavilion]
-    ring = inset(block.corners, (0.8,) * 4)
-    for k in range(4):
-        a, b = ring[k], ring[(k + 1) % 4]
-        for start, end in ((0.1, 0.44), (0.56, 0.9)):
-            found.append(
-                wall_between(
-                    a + start * (b - a),
-                    a + end * (b - a),
-                    0.8,
-                    height=1.1,
-                    wall=(0.03, 0.055, 0.018),
-                    roof=(0.04, 0.07, 0.02),
-                    material=Material.HEDGE,
-                    tags=frozenset({"fence"}),
-                )
-            )
-    return found
+    ring, hedge = inset(block.corners, (0.8,) * 4), {**HEDGE, "height": 1.1, "tags": frozenset({"fence"})}
+    sides = [(ring[k], ring[(k + 1) % 4] - ring[k]) for k in range(4)]
+    ends = ((0.1, 0.44), (0.56, 0.9))
+    return [pavilion] + [wall_between(a + s * d, a + t * d, 0.8, **hedge) for a, d in sides for s, t in ends]
 
 
 def canal_walls(plan: Plan) -> list[Building]:
@@ -260,10 +244,8 @@ def canal_walls(plan: Plan) -> list[Building]:
         end = q - along * (TOTAL_HALF[across[b[axis]]] + 0.4)
         shore = WATER_HALF[Kind.CANAL] + 0.25
         shared = {"height": 0.75, "wall": palette.STONE[2], "roof": palette.STONE[3], "material": Material.STONE}
+        shared |= {"seed": plan.seed, "tags": frozenset({"wall"})}
         ends = [(start + side * shore * left, end + side * shore * left) for side in (-1, 1)]
         ends += [(x - (shore - 0.3) * left, x + (shore - 0.3) * left) for x in (start, end)]
-        found += [
-            wall_between(u, v, 0.4, **shared, seed=plan.seed + k, tags=frozenset({"wall"}))
-            for k, (u, v) in enumerate(ends)
-        ]
+        found += [wall_between(u, v, 0.4, **shared) for u, v in ends]
     return found

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artifact_city.grids import roof_at
+from artifact_city.buildings import roof_at
 from artifact_city.streets import (
     COLUMN_NAMES,
     DRIVE_OFFSET,
@@ -93,13 +93,7 @@ def _towards(a: tuple[int, int], b: tuple[int, int]) -> tuple[int, int]:
 
 
 def drive_path(plan: Plan, route: str, lateral: str) -> Path:
-    """Lay a path along a route: in the right lane or on the right pavement, with rounded corners.
-
-    Parameters
-    ----------
-    lateral : {"lane", "pavement"}
-        Cars swing wide round corners, people do not.
-    """
+    """Lay a path along a route: in the right ``lane`` or on the right ``pavement``; cars swing wide round corners."""
     stops = junctions_of(route)
     offsets, radius = (DRIVE_OFFSET, 8.0) if lateral == "lane" else (WALK_OFFSET, 1.2)
     corners = [plan.junctions[stop] for stop in stops]

@@ -5,7 +5,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from artifact_city.records import layout, records
+from artifact_city.kernel import layout, records
 
 N_COLUMNS, N_ROWS = 7, 6
 COLUMN_NAMES = "ABCDEFG"
@@ -37,23 +37,9 @@ WALK_OFFSET = np.array([3.6, 6.9, 9.8, 12.4, 0.0, 0.0])
 STREET_CAP = 4.0  # metres by which a street reaches past its end junctions
 
 
-# One straight piece of a street, as compiled code reads it. Lengths in metres.
-STREET_PIECE = layout(
-    x="f8",  # start
-    y="f8",
-    ux="f8",  # unit direction
-    uy="f8",
-    length="f8",
-    start="f8",  # distance along the whole line at the piece's start
-    road="f8",  # half widths
-    total="f8",
-    water="f8",
-    mouth_start="f8",  # half width of the street crossed at the start and at the end
-    mouth_end="f8",
-    cap="f8",  # reach beyond both ends
-    kind="i8",
-    seed="f8",
-)
+# One straight piece of a street as compiled code reads it: its start, unit direction and length; the distance along the
+# whole line at its start; half widths; the half widths of the streets crossed at both ends; the reach beyond both ends.
+STREET_PIECE = layout("x y ux uy length start road total water mouth_start mouth_end cap kind:i seed")
 
 
 @dataclass(frozen=True)
@@ -67,20 +53,12 @@ class Block:
 
 @dataclass(frozen=True)
 class Plan:
-    """Junctions, kinds of street, and what follows from them.
-
-    Attributes
-    ----------
-    junctions : ndarray, shape (7, 6, 2)
-        Positions in metres, x east and y north; junction ``B3`` is ``junctions[1, 2]``.
-    column_kinds, row_kinds : tuple of Kind
-        The kind of the street along each column (A-G) and row (1-6).
-    """
+    """Junctions, kinds of street, and what follows from them."""
 
     seed: int
-    junctions: np.ndarray
-    column_kinds: tuple[Kind, ...]
-    row_kinds: tuple[Kind, ...]
+    junctions: np.ndarray  # (7, 6, 2): metres east and north; junction ``B3`` is ``junctions[1, 2]``
+    column_kinds: tuple[Kind, ...]  # of the street along each column (A-G)
+    row_kinds: tuple[Kind, ...]  # and along each row (1-6)
 
     def kind(self, a: tuple[int, int], b: tuple[int, int]) -> Kind:
         """Kind of the street between two neighbouring junctions."""
@@ -129,25 +107,10 @@ def street_pieces(plan: Plan, track: np.ndarray, paths: list[tuple[np.ndarray, n
     rows += [(a, b, Kind.PATH, 0.0, 0.0, 0.0, 0.0, 60) for a, b in paths]
     first, last, kind, start, mouth_start, mouth_end, cap, line = (np.array(c) for c in zip(*rows, strict=True))
     length = np.linalg.norm(last - first, axis=1)
-    return records(
-        STREET_PIECE,
-        {
-            "x": first[:, 0],
-            "y": first[:, 1],
-            "ux": (last - first)[:, 0] / length,
-            "uy": (last - first)[:, 1] / length,
-            "length": length,
-            "start": start,
-            "road": ROAD_HALF[kind],
-            "total": TOTAL_HALF[kind],
-            "water": WATER_HALF[kind],
-            "mouth_start": mouth_start,
-            "mouth_end": mouth_end,
-            "cap": cap,
-            "kind": kind,
-            "seed": line + 1000 * plan.seed,
-        },
-    )
+    (x, y), (ux, uy) = first.T, (last - first).T / length
+    seed, road, total, water = line + 1000 * plan.seed, ROAD_HALF[kind], TOTAL_HALF[kind], WATER_HALF[kind]
+    columns = x, y, ux, uy, length, start, road, total, water, mouth_start, mouth_end, cap, kind, seed
+    return records(STREET_PIECE, dict(zip(STREET_PIECE.names, columns, strict=True)))
 
 
 def meet(p: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -163,16 +126,8 @@ def meet(p: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarr
 
 
 def inset(corners: np.ndarray, distances: tuple[float, ...] | np.ndarray) -> np.ndarray:
-    """Move each side of a counter-clockwise convex polygon inwards by its own distance.
+    """Move each side of a counter-clockwise convex polygon inwards by its own distance; a negative one is outwards.
 
-    Parameters
-    ----------
-    corners : ndarray, shape (n, 2)
-    distances : sequence of n floats
-        Metres for the side from corner k to corner k + 1; negative moves outwards.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> inset(np.array([[0.0, 0], [4, 0], [4, 3], [0, 3]]), (1, 0, 1, 0)).tolist()
     [[0.0, 1.0], [4.0, 1.0], [4.0, 2.0], [0.0, 2.0]]
@@ -225,20 +180,12 @@ def railway(plan: Plan, spacing: float) -> np.ndarray:
     low = plan.junctions.reshape(-1, 2).min(axis=0) - RAILWAY_DISTANCE
     high = plan.junctions.reshape(-1, 2).max(axis=0) + RAILWAY_DISTANCE
     radius = 95.0
-    centres = [
-        (high[0], low[1], -0.25),
-        (high[0], high[1], 0.0),
-        (low[0], high[1], 0.25),
-        (low[0], low[1], 0.5),
-    ]
+    (x0, y0), (x1, y1) = low + radius, high - radius
     points = []
-    for x, y, turn in centres:
-        cx = x - radius if x == high[0] else x + radius
-        cy = y - radius if y == high[1] else y + radius
+    for x, y, turn in ((x1, y0, -0.25), (x1, y1, 0.0), (x0, y1, 0.25), (x0, y0, 0.5)):
         angle = 2 * np.pi * np.linspace(turn, turn + 0.25, 40)
-        points.append(np.stack([cx + radius * np.cos(angle), cy + radius * np.sin(angle)], axis=1))
-    ring = np.concatenate([*points, points[0][:1]])
-    ring = resample(ring, 2.0)
+        points.append(np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle)], axis=1))
+    ring = resample(np.concatenate([*points, points[0][:1]]), 2.0)
     phase = np.random.default_rng([plan.seed, 2]).uniform(0, 2 * np.pi, 3)
     turn = np.linspace(0, 2 * np.pi, len(ring))
     tangent = np.gradient(ring, axis=0)
