@@ -8,43 +8,15 @@ import numpy as np
 from artifact_city import palette
 from artifact_city.kernel import kernel, layout, records
 from artifact_city.palette import choose
+from artifact_city.streets import sides
 
 RGB = tuple[float, float, float] | np.ndarray
 
 
-class Material(IntEnum):
-    """What a wall is made of; the compiled facade code knows the values."""
-
-    BRICK = 0
-    PLASTER = 1
-    STONE = 2
-    CONCRETE = 3
-    TIMBER = 4
-    SIDING = 5
-    HEDGE = 6
-    FENCE = 7
-    PLAIN = 8
-
-
-class Windows(IntEnum):
-    """How the windows of a facade look."""
-
-    NONE = 0
-    CROSS = 1
-    SASH = 2
-    ARCHED = 3
-    STRIP = 4
-    SHUTTERS = 5
-    FRENCH = 6
-
-
-class Ground(IntEnum):
-    """What is on the ground floor of a front."""
-
-    NONE = 0
-    HOUSE = 1
-    SHOP = 2
-    GATE = 3
+# What a wall is made of, how its windows look, and what is on the ground floor of a front.
+Material = IntEnum("Material", "BRICK PLASTER STONE CONCRETE TIMBER SIDING HEDGE FENCE PLAIN", start=0)
+Windows = IntEnum("Windows", "NONE CROSS SASH ARCHED STRIP SHUTTERS FRENCH", start=0)
+Ground = IntEnum("Ground", "NONE HOUSE SHOP GATE", start=0)
 
 
 @dataclass(frozen=True)
@@ -92,10 +64,7 @@ PRISM = layout(
 def as_records(buildings: list[Building]) -> np.ndarray:
     """Pack buildings into records ``PRISM``."""
     corners = np.array([b.corners for b in buildings], dtype=np.float64)
-    direction = np.roll(corners, -1, axis=1) - corners
-    length = np.linalg.norm(direction, axis=2)
-    unit = direction / length[..., None]
-    normal = np.stack([unit[..., 1], -unit[..., 0]], axis=2)
+    length, _, normal = sides(corners)
     derived = {"normal": normal, "offset": (normal * corners).sum(axis=2), "length": length}
     plain = {name: [getattr(b, name) for b in buildings] for name in PRISM.names if name not in derived}
     return records(PRISM, {**plain, **derived})

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from artifact_city.buildings import FACADE_EDGE
+from artifact_city.buildings import FACADE_EDGE, Ground, Material, Windows
 from artifact_city.fragments import K_WALL
 from artifact_city.kernel import kernel
 from artifact_city.noise import cloud_noise, cover, hash3, noise2, smooth, stripes
@@ -31,19 +31,19 @@ def _wall_texture(material, u, z, fu, fz, seed):
     """Factor by which a wall's colour varies with its material, about 1."""
     stains = cloud_noise(u * 0.45 + seed % 97.0, z * 0.35, seed, 3.0)
     value = 0.80 + 0.30 * stains + 0.10 * noise2(u * 1.9, z * 0.22, seed + 3)
-    if material == 0:  # brick
+    if material == Material.BRICK:
         visible = 1.0 - smooth(0.03, 0.11, fz)
         if visible > 0.0:
             tone, joint = _courses(u, z, 0.3, 0.1, 0.017, fu, fz, seed)
             value *= 1.0 + visible * (0.28 * tone - 0.25 * joint)
-    elif material == 2:  # stone blocks
+    elif material == Material.STONE:
         visible = 1.0 - smooth(0.08, 0.3, max(fz, 0.4 * fu))
         if visible > 0.0:
             tone, joint = _courses(u, z, 0.9, 0.42, 0.035, fu, fz, seed)
             value *= 1.0 + visible * (0.2 * tone - 0.4 * joint)
-    elif material == 3:  # concrete, with rain streaks
+    elif material == Material.CONCRETE:
         value = 0.86 + 0.12 * stains + 0.16 * (noise2(u * 2.6, z * 0.09, seed) - 0.3)
-    elif material == 5:  # boards
+    elif material == Material.SIDING:
         visible = 1.0 - smooth(0.06, 0.2, fz)
         value = 0.9 + 0.14 * stains - 0.3 * visible * stripes(z, 0.2, 0.035, fz) - 0.05 * (1 - visible)
     return value * (0.80 + 0.20 * smooth(0.0, 1.1, z + 0.4 * stains))
@@ -84,11 +84,11 @@ def opening_at(house, side, u, z):
     column = min(bays - 1, max(0, np.int64((u - FACADE_EDGE) / step)))
     x = u - FACADE_EDGE - (column + 0.5) * step
     if z <= house.ground_height:
-        if not house.fronts[side] or house.ground == 0:
+        if not house.fronts[side] or house.ground == Ground.NONE:
             return 0, 0.0, 0.0, 0.0, 0.0, 0.0
-        if house.ground == 2:
+        if house.ground == Ground.SHOP:
             return SHOP, u, z, 0.0, 0.0, 0.0
-        if house.ground == 3 and (side == 0 or kind == 0):
+        if house.ground == Ground.GATE and (side == 0 or kind == Windows.NONE):
             return GATE, u - 0.5 * length, z, min(1.5, 0.36 * length), min(2.7, 0.8 * house.ground_height), 0.0
         if column == np.int64(hash3(seed, float(side), 13.0) * bays) and (
             side == 0 or hash3(seed, float(side), 19.0) < 0.5
@@ -97,11 +97,11 @@ def opening_at(house, side, u, z):
         tall = min(house.window_height, house.ground_height - 1.5)
         sill = max(0.95, house.ground_height - 0.8 - tall)
         half = 0.5 * min(house.window_width, step - 0.5)
-        return 1 if kind == 6 else kind, x, z - sill, half, tall, 1009.0 * side + column
+        return 1 if kind == Windows.FRENCH else kind, x, z - sill, half, tall, 1009.0 * side + column
     k = np.int64(np.floor((z - house.ground_height) / house.floor_height))
     floors = np.int64((house.height - house.ground_height) / house.floor_height + 0.05)
     key = 1009.0 * side + 101.0 * (k + 1) + column
-    if kind == 0 or (not house.fronts[side] and hash3(key, seed, 71.0) > 0.28):
+    if kind == Windows.NONE or (not house.fronts[side] and hash3(key, seed, 71.0) > 0.28):
         return 0, 0.0, 0.0, 0.0, 0.0, 0.0
     if k >= floors:
         if side != 0 or house.slope[1] <= 0.0 or house.slope[0] > 0.0:
@@ -109,9 +109,9 @@ def opening_at(house, side, u, z):
         return min(kind, 3), u - 0.5 * length, z - house.height - 0.35, 0.36, 0.95, 99_991.0  # one in the gable
     y = z - house.ground_height - k * house.floor_height - house.sill
     half, tall = 0.5 * min(house.window_width, step - 0.35), min(house.window_height, house.floor_height - 1.0)
-    if kind == 4:
+    if kind == Windows.STRIP:
         half, tall = 0.5 * step - 0.12, min(1.5, house.floor_height - 1.1)
-    elif kind == 6:
+    elif kind == Windows.FRENCH:
         y, tall = y + house.sill - 0.12, min(2.25, house.floor_height - 0.55)
     return kind, x, y, half, tall, key
 
@@ -142,24 +142,24 @@ def _pane(x, y, half, height, arched, border, fu, fz):
 @kernel
 def _mullions(kind, x, y, half, height, fu, fz):
     """Share of the bars that divide a window."""
-    if kind == 4:
+    if kind == Windows.STRIP:
         return cover(x - half * (0.0 if half < 1.0 else 0.34), 0.035, fu)
-    if kind == 2:
+    if kind == Windows.SASH:
         return min(1.0, cover(y - 0.5 * height, 0.045, fz) + 0.6 * cover(abs(x) - 0.33 * half, 0.02, fu))
-    crossbar = height - half if kind == 3 else (0.8 if kind == 6 else 0.66) * height
+    crossbar = height - half if kind == Windows.ARCHED else (0.8 if kind == Windows.FRENCH else 0.66) * height
     return min(1.0, cover(x, 0.035, fu) + cover(y - crossbar, 0.035, fz))
 
 
 @kernel
 def _window(house, kind, x, y, half, height, key, fu, fz, light, c):
     """Paint one window over a wall colour. Returns colour, emission, share of glass."""
-    trim, accent, arched, strip = house.trim, house.accent, kind == 3, kind == 4
+    trim, accent, arched, strip = house.trim, house.accent, kind == Windows.ARCHED, kind == Windows.STRIP
     if house.ornament & 8:
         c = mixed(c, trim, _pane(x, y + 0.14, half + 0.15, height + 0.3, arched, 0.0, fu, fz))
-    if kind == 5:  # shutters
+    if kind == Windows.SHUTTERS:
         wing = cover(abs(x) - half - 0.26, 0.25, fu) * cover(y - 0.5 * height, 0.5 * height + 0.03, fz)
         c = mixed(c, scaled(accent, 0.75 + 0.25 * stripes(y, 0.12, 0.07, fz)), wing)
-    if kind != 6:
+    if kind != Windows.FRENCH:
         sill = cover(x, half + 0.1, fu)
         c = scaled(c, 1.0 - 0.35 * sill * cover(y + 0.19, 0.07, fz))
         c = mixed(c, mixed(trim, (0.85, 0.87, 0.9), min(0.8, 1.3 * light.snow)), sill * cover(y + 0.06, 0.06, fz))
@@ -264,10 +264,10 @@ def _facade(house, side, u, z, fu, fz, light):
     ornament, front, ground_height, height = house.ornament, house.fronts[side], house.ground_height, house.height
     step, upper, trim = _bays(house, side)[1], z > ground_height, 0.0
     c = scaled(house.wall, _wall_texture(house.material, u, z, fu, fz, house.seed + side))
-    if house.material == 4 and upper:
+    if house.material == Material.TIMBER and upper:
         beams = _beams(u, z, fu, fz, step, house.floor_height, ground_height, house.seed)
         c = mixed(c, (0.055, 0.036, 0.024), beams)
-    if ornament & 16 and not upper and front and house.ground != 2:
+    if ornament & 16 and not upper and front and house.ground != Ground.SHOP:
         trim = 0.7
     if ornament & 2:
         reach = 0.36 if (np.int64(z / 0.45) & 1) == 0 else 0.6
@@ -291,14 +291,14 @@ def _facade(house, side, u, z, fu, fz, light):
 @kernel
 def _garden_wall(house, u, z, fu, fz, light):
     """Reflectance of hedges, fences and plain walls."""
-    if house.material == 6:
+    if house.material == Material.HEDGE:
         leaves = cloud_noise(u * 3.1, z * 3.1, house.seed, 3.0) if fu < 0.5 else 0.5
         value = (0.45 + 1.1 * leaves) * (0.6 + 0.4 * smooth(0.0, house.height, z))
         green = filtered(scaled(house.wall, value), light.leaf)
         white = 0.8 * light.snow * smooth(0.5, 0.8, 0.35 * leaves + 0.65 * z / house.height)
         brown = mixed(green, scaled((0.06, 0.045, 0.028), value), 0.55 * (1.0 - light.foliage))
         return mixed(brown, (0.75, 0.78, 0.83), white)
-    if house.material == 7:
+    if house.material == Material.FENCE:
         rail = min(1.0, cover(z - 0.3, 0.05, fz) + cover(z - house.height + 0.25, 0.05, fz))
         return scaled(house.wall, 0.12 + 0.88 * max(stripes(u, 0.16, 0.11, fu), rail))
     return scaled(house.wall, 0.85 + 0.25 * cloud_noise(u, z, house.seed, 3.0))
@@ -318,7 +318,7 @@ def paint_walls(view_record, light_record, buildings, fragments, index, counts):
         fz = SAMPLES * f.depth / view.focal
         fu = fz * reach / max(0.04, -(nx * f.ray_x + ny * f.ray_y) / reach)
         put(f.normal, (nx, ny, 0.0))
-        if house.material >= 6:
+        if house.material >= Material.HEDGE:
             put(f.colour, _garden_wall(house, u, z, fu, fz, light))
         else:
             colour, glow, f.gloss = _facade(house, side, u, z, fu, fz, light)

@@ -10,7 +10,7 @@ from artifact_city.country import furnish_country
 from artifact_city.lots import Site, Zone
 from artifact_city.models import Collector, ThingList
 from artifact_city.palette import choose
-from artifact_city.streets import ROAD_HALF, TOTAL_HALF, Kind, Plan, inset
+from artifact_city.streets import ROAD_HALF, TOTAL_HALF, Kind, Plan, inset, sides
 from artifact_city.trees import TREE, Species
 
 
@@ -48,21 +48,16 @@ def furnish(
 
 def _furnish_street(c: Collector, plan: Plan, a: tuple, b: tuple, rng: np.random.Generator) -> None:
     kind = plan.kind(a, b)
-    p, q = plan.junctions[a], plan.junctions[b]
-    length = float(np.linalg.norm(q - p))
-    u = (q - p) / length
-    n = np.array([-u[1], u[0]])
+    p, length, u, n = plan.axis(a, b)
     yaw = float(np.arctan2(u[1], u[0]))
-    along_row = a[1] == b[1]
-    across, axis = (plan.column_kinds, 0) if along_row else (plan.row_kinds, 1)
-    first, last = TOTAL_HALF[across[a[axis]]] + 2.0, length - TOTAL_HALF[across[b[axis]]] - 2.0
+    before, after = TOTAL_HALF[list(plan.crossed(a, b))] + 2.0
     road, total = ROAD_HALF[kind], TOTAL_HALF[kind]
 
     def spots(spacing: float, offset: float, jitter: float = 0.0) -> list[np.ndarray]:
-        at = np.arange(first + offset, last, spacing)
+        at = np.arange(before + offset, length - after, spacing)
         return [p + (s + rng.uniform(-jitter, jitter)) * u for s in at]
 
-    line = np.random.default_rng([plan.seed, 10, int(along_row), *a])
+    line = np.random.default_rng([plan.seed, 10, int(a[1] == b[1]), *a])
     # For each kind: spacing of trees and lamps, metres outside the kerb, share of trees kept, range of their sizes.
     tree_step, tree_out, shares, sizes, lamp_step, lamp_out = {
         Kind.LANE: (30.0, 0.0, (0.0,), (0.5, 0.5), 38.0, total - 0.45 - road),
@@ -108,9 +103,7 @@ def _clear_points(site: Site, count: int, margin: float, rng: np.random.Generato
 
 def _distances(corners: np.ndarray, p: np.ndarray) -> np.ndarray:
     """Distances of a point from the sides of convex polygons, shape (n, k, 2); negative inside."""
-    direction = np.roll(corners, -1, axis=1) - corners
-    normal = np.stack([direction[..., 1], -direction[..., 0]], axis=-1) / np.linalg.norm(direction, axis=-1)[..., None]
-    return ((p - corners) * normal).sum(axis=-1).max(axis=-1)
+    return ((p - corners) * sides(corners)[2]).sum(axis=-1).max(axis=-1)
 
 
 def _furnish_site(c: Collector, site: Site, rng: np.random.Generator) -> None:
@@ -149,27 +142,21 @@ def _across(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
 
 def _furnish_square(c: Collector, site: Site, rng: np.random.Generator) -> None:
     ring = inset(site.block.corners, (2.2,) * 4)
-    for k in range(4):
-        a, b = ring[k], ring[(k + 1) % 4]
-        length = float(np.linalg.norm(b - a))
-        u = (b - a) / length
+    for a, length, u, outward in zip(ring, *sides(ring), strict=True):
         for s in np.arange(2.0, length - 4, 9.0):
             if abs(s - length / 2) > 6 and rng.random() < 0.85:
                 c.tree(a + s * u, Species.LINDEN, rng.uniform(0.55, 0.8), rng)
         for s in np.arange(6.5, length - 6, 18.0):
             c.lamp(a + s * u, 0.0, tall=False)
-            inwards = np.array([-u[1], u[0]])
-            c.things.add("bench", a + (s + 4) * u + 0.8 * inwards, float(np.arctan2(u[1], u[0])))
+            c.things.add("bench", a + (s + 4) * u - 0.8 * outward, float(np.arctan2(u[1], u[0])))
     points = [p for p in _clear_points(site, 60, 4.0, rng) if _distances(site.block.corners[None], p)[0] < -6]
     for p in points[-1:]:
         c.things.add("fountain", p, 0.0)
 
 
 def _furnish_house(things: ThingList, b: Building, prism: np.void, rng: np.random.Generator) -> None:
-    p0, p1 = b.corners[0], b.corners[1]
-    width = float(np.linalg.norm(p1 - p0))
-    u = (p1 - p0) / width
-    n = np.array([u[1], -u[0]])
+    p0, (lengths, units, outward) = b.corners[0], sides(b.corners)
+    (width, depth), u, n = lengths[[0, 3]], units[0], outward[0]
     yaw = float(np.arctan2(n[1], n[0]))
     floors = int((b.height - b.ground_height) / b.floor_height + 0.05)
     bays = max(1, int((width - 2 * FACADE_EDGE) / b.bay))
@@ -179,7 +166,7 @@ def _furnish_house(things: ThingList, b: Building, prism: np.void, rng: np.rando
     pale = 0.95 * np.array(b.wall)
     if b.ground == Ground.SHOP:
         if rng.random() < 0.5:
-            at, colour = (p0 + p1) / 2 + 0.05 * n, choose(rng, palette.AWNING)
+            at, colour = p0 + 0.5 * width * u + 0.05 * n, choose(rng, palette.AWNING)
             scale = (rng.uniform(1.1, 1.6), 0.88 * width, 1.0)
             second = (0.8, 0.78, 0.72) if rng.random() < 0.6 else colour
             things.add("awning", at, yaw, z=b.ground_height - 0.85, scale=scale, colour=colour, second=second)
@@ -205,7 +192,7 @@ def _furnish_house(things: ThingList, b: Building, prism: np.void, rng: np.rando
             if roof_at(prism, *p) > eaves - 0.01 and roof_at(prism, *(p - 2.1 * n)) > eaves + 1.25:
                 things.add("dormer", p, yaw, z=eaves - 0.25, scale=(1.0, 0.85, 0.9), colour=pale, second=b.roof)
     if rng.random() < (0.85 if b.cap > 0 else 0.4):
-        depth, hipped = np.linalg.norm(b.corners[3] - b.corners[0]), b.slope[1] > 0 and b.slope[0] > 0
+        hipped = b.slope[1] > 0 and b.slope[0] > 0
         for end in ((0.38, 0.66) if hipped else (0.12, 0.88))[: int(rng.integers(1, 3))]:
             p = p0 + end * width * u - depth * rng.uniform(0.42, 0.58) * n
             things.add("chimney", p, yaw, z=roof_at(prism, *p), colour=choose(rng, palette.BRICK))

@@ -5,8 +5,10 @@ import numpy as np
 from artifact_city.fragments import K_GROUND
 from artifact_city.grids import STREET_CELL
 from artifact_city.kernel import kernel
+from artifact_city.lots import Zone
 from artifact_city.noise import cloud_noise, cover, hash3, noise2, smooth, stripes
 from artifact_city.palette import filtered, mixed, put, scaled
+from artifact_city.streets import Kind
 from artifact_city.view import SAMPLES
 
 
@@ -42,7 +44,7 @@ def _markings(piece, s, d, fs, fd):
         paint = zebra * smooth(piece.road, piece.road - 0.3, abs(d))
     elif gap > 5.2:
         dashes = stripes(s, 6.0, 3.0, fs)
-        if piece.kind == 1:
+        if piece.kind == Kind.STREET:
             paint = cover(d, 0.07, fd) * dashes
         else:
             paint = max(cover(abs(d) - 0.12, 0.06, fd), cover(abs(d) - 2.9, 0.07, fd) * dashes)
@@ -68,14 +70,14 @@ def _track(s, d, fs, fd, x, y, light):
 def _yard(zone, x, y, foot, light, seed):
     """Colour of the ground between the streets."""
     coarse = cloud_noise(x * 0.06, y * 0.06, seed + 2, 3.0)
-    if zone == 2:  # court
+    if zone == Zone.COURT:
         return scaled((0.30, 0.275, 0.235), 0.8 + 0.4 * coarse)
-    if zone == 3:  # square
+    if zone == Zone.SQUARE:
         border = 0.25 * min(1.0, stripes(x, 8.0, 0.35, foot) + stripes(y, 8.0, 0.35, foot))
         slabs = _paving(x, y, 0.8, foot, foot, 0.05, 0.2, seed)
         return scaled((0.30, 0.275, 0.235), slabs * (0.8 + 0.4 * coarse) * (1.0 - border))
     value = 0.58 + 0.42 * coarse + 0.52 * (cloud_noise(x * 1.7, y * 1.7, seed, 3.0) if foot < 1.2 else 0.5)
-    if zone == 0:  # strips of stubble, earth and meadows
+    if zone == Zone.FIELD:  # strips of stubble, earth and meadows
         p, q = 0.94 * x + 0.34 * y, 0.94 * y - 0.34 * x
         crop = hash3(np.floor(p / 58.0), np.floor(q / 43.0), seed)
         if crop < 0.28:
@@ -87,11 +89,11 @@ def _yard(zone, x, y, foot, light, seed):
 
 
 @kernel
-def _yard_snow(zone, brightness, x, y, light):
+def _yard_snow(paved, brightness, x, y, light):
     """Share of the ground between the streets that snow covers; furrows and tufts show where it has drifted away."""
     drift = 0.75 * cloud_noise(x * 0.28, y * 0.28, 12.0, 3.0) + 0.25 * noise2(x * 2.6, y * 2.6, 18.0)
     bare = 1.0 - light.snow
-    return smooth(bare, bare + 0.14, drift + 0.6 * brightness - 0.12) * (0.75 if zone in (2, 3) else 1.0)
+    return smooth(bare, bare + 0.14, drift + 0.6 * brightness - 0.12) * (0.75 if paved else 1.0)
 
 
 @kernel
@@ -99,7 +101,7 @@ def _pavement(piece, s, d, fs, fd, x, y):
     """Colour of a pavement of slabs, or of the gravel of a park's path."""
     seed = piece.seed
     value = (0.85 + 0.3 * hash3(seed, 1.0, 2.0)) * (0.84 + 0.32 * cloud_noise(x * 0.35, y * 0.35, 3.0, 3.0))
-    if piece.kind == 5:
+    if piece.kind == Kind.PATH:
         return scaled((0.34, 0.29, 0.21), value)
     size = 0.6 if hash3(seed, 4.0, 4.0) < 0.6 else 0.4
     return scaled((0.27, 0.255, 0.23), value * _paving(s, d, size, fs, fd, 0.05, 0.2, seed))
@@ -108,12 +110,12 @@ def _pavement(piece, s, d, fs, fd, x, y):
 @kernel
 def _road(piece, s, d, fs, fd, x, y, crossing, light):
     """Colour of a road with its markings, and the brightness that its kerbs share."""
-    if piece.kind in (0, 3) or (light.past and piece.kind != 5):  # cobbles
+    if piece.kind in (Kind.LANE, Kind.CANAL) or (light.past and piece.kind != Kind.PATH):  # cobbles
         patches = 0.8 + 0.4 * cloud_noise(x * 0.3, y * 0.3, 5.0, 3.0)
         tone = _paving(s, d, 0.16, fs, fd, 0.02, 0.35, piece.seed) * patches
         return scaled((0.175, 0.16, 0.145), tone), tone
     tone = _asphalt(x, y, d, piece.road, max(fs, fd), piece.seed)
-    paint = _markings(piece, s, d, fs, fd) if crossing > 1.2 and piece.kind in (1, 2) else 0.0
+    paint = _markings(piece, s, d, fs, fd) if crossing > 1.2 and piece.kind in (Kind.STREET, Kind.AVENUE) else 0.0
     return mixed(scaled((0.105, 0.105, 0.108), tone), (0.62, 0.61, 0.57), paint), tone
 
 
@@ -150,16 +152,16 @@ def _locate(world, streets, table, x, y):
         beyond = abs(s - 0.5 * piece.length) - 0.5 * piece.length - piece.cap
         to_road, to_edge = max(abs(d) - piece.road, beyond), max(abs(d) - piece.total, beyond)
         total = min(total, to_edge)
-        if piece.kind == 3:
+        if piece.kind == Kind.CANAL:
             water = min(water, max(abs(d) - piece.water, beyond + piece.cap))
-        elif piece.kind < 3:
+        elif piece.kind < Kind.CANAL:
             deck = min(deck, to_edge)
         if to_road < road:
             crossing, road = road, to_road
             best, along, across = k, s, d
         else:
             crossing = min(crossing, to_road)
-    if road > 0.0 and crossing < 6.0 and streets[best].kind < 4:
+    if road > 0.0 and crossing < 6.0 and streets[best].kind < Kind.RAILWAY:
         # Kerbs are rounded where two roads meet.
         h = max(0.0, 1.0 - abs(road - crossing) / 5.0)
         road -= 1.25 * h * h
@@ -181,17 +183,18 @@ def _ground(world, streets, table, zones, light, x, y, toward_x, toward_y, long,
     if best < 0 or (total > 0.0 and road > 0.0):
         i, j = np.int64(x - world.west), np.int64(y - world.south)
         zone = zones[j, i] if 0 <= i < zones.shape[1] and 0 <= j < zones.shape[0] else 0
-        c, mirror = _yard(zone, x, y, np.sqrt(long * wide), light, world.seed), light.wet * (0.5 * (zone in (2, 3)))
-        settle = _yard_snow(zone, c[0] + c[1] + c[2], x, y, light) if light.snow > 0.0 else 0.0
+        paved = zone in (Zone.COURT, Zone.SQUARE)
+        c, mirror = _yard(zone, x, y, np.sqrt(long * wide), light, world.seed), 0.5 * light.wet if paved else 0.0
+        settle = _yard_snow(paved, c[0] + c[1] + c[2], x, y, light) if light.snow > 0.0 else 0.0
         return _covered(c, settle, mirror, x, y, light), mirror
     piece = streets[best]
     kind, ux, uy = piece.kind, piece.ux, piece.uy
     cos, sin = abs(ux * toward_x + uy * toward_y), abs(ux * toward_y - uy * toward_x)
     fs, fd = cos * long + sin * wide, sin * long + cos * wide
-    if kind == 4:
+    if kind == Kind.RAILWAY:
         return _track(s + piece.start, d, fs, fd, x, y, light), 0.15 * light.wet
     foot_edge = max(0.02, fs if crossing < 0.5 else fd)
-    on_road = smooth(0.5 * foot_edge, -0.5 * foot_edge, road) if kind != 5 else 0.0
+    on_road = smooth(0.5 * foot_edge, -0.5 * foot_edge, road) if kind != Kind.PATH else 0.0
     c, tone = (0.0, 0.0, 0.0), 1.0
     if on_road < 1.0:
         c = _pavement(piece, s, d, fs, fd, x, y)
@@ -202,7 +205,7 @@ def _ground(world, streets, table, zones, light, x, y, toward_x, toward_y, long,
     if light.snow > 0.0:
         lying = smooth(0.42, 0.62, cloud_noise(x * 0.7, y * 0.7, 15.0, 3.0) + 0.10)
         settle = lying + on_road * (_road_snow(piece, s, d, x, y, crossing) * 0.85 - lying)
-    if kind not in (0, 5):
+    if kind not in (Kind.LANE, Kind.PATH):
         c = mixed(c, scaled((0.36, 0.355, 0.34), tone), cover(road - 0.09, 0.09, foot_edge))
         c = scaled(c, 1.0 - 0.5 * cover(road + 0.06, 0.08, foot_edge))
     mirror = light.wet * (0.34 + 0.3 * on_road)

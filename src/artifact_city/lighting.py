@@ -27,7 +27,7 @@ def _sky(light, dx, dy, slope):
     puffs = cloud_noise(px, py, light.cloud_seed, 4.0)
     edge = 0.74 - 0.44 * light.cloudiness
     share = smooth(edge, edge + 0.16 + 0.1 * light.cloudiness, puffs) * smooth(-0.01, 0.10, up) * 0.92
-    bright = 1.0 - smooth(edge + 0.05, edge + 0.42, puffs + 0.25 * (noise2(px * 2.1, py * 2.1, 77.0) - 0.5))
+    bright = 1.0 - smooth(edge + 0.05, edge + 0.42, puffs)
     return mixed(c, mixed(light.cloud_shade, light.cloud, bright), share)
 
 

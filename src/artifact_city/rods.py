@@ -16,7 +16,6 @@ PLACED_ROD = layout("x0 y0 z0 x1 y1 z1 r0 r1 colour:3 snow")
 
 MOST_RODS = 24_000
 _BARK = np.array([[0.085, 0.07, 0.052], [0.10, 0.085, 0.06], [0.06, 0.045, 0.03], [0.07, 0.055, 0.04]])
-_SPRUCE = int(Species.SPRUCE)
 _LOOKS = np.full((len(Surface), 3), 0.03)  # reflectance of rods that have not their thing's own colour
 _LOOKS[Surface.STEEL], _LOOKS[Surface.WOOD], _LOOKS[Surface.SKIN] = 0.21, (0.16, 0.10, 0.05), (0.45, 0.28, 0.2)
 _THING_REACH = 70.0  # metres
@@ -36,7 +35,7 @@ def collect_tree_rods(view_record, light_record, trees, shapes, limbs, rods, cou
         first, last = column_range(view, tree.x, tree.y, shape.reach * tree.size)
         if last < first:
             continue
-        leafy = light.foliage > 0.3 or tree.species == _SPRUCE
+        leafy = light.foliage > 0.3 or tree.species == Species.SPRUCE
         finest = 1.5 if leafy else (5.5 if distance < 45.0 else (4.5 if distance < 90.0 else 3.5))
         thicker = tree.size * (1.0 if distance < 60.0 else 1.0 + (distance - 60.0) / 90.0)
         cos, sin = np.cos(tree.yaw) * tree.size, np.sin(tree.yaw) * tree.size
@@ -85,7 +84,7 @@ def collect_thing_rods(view_record, things, models, model_rods, rods, count):
             rod.z0, rod.z1 = thing.z + part.start[2] * thing.scale[2], thing.z + part.end[2] * thing.scale[2]
             rod.r0, rod.r1, rod.snow = part.r0, part.r1, 0.0
             for k in range(3):
-                rod.colour[k] = thing.colour[k] if part.surface == 0 else _LOOKS[part.surface, k]
+                rod.colour[k] = thing.colour[k] if part.surface == Surface.PAINT else _LOOKS[part.surface, k]
             count += 1
     return count
 

@@ -13,25 +13,12 @@ ROD = layout("start:3 end:3 r0 r1 surface:i")
 MODEL = layout("first_face:i last_face:i first_rod:i last_rod:i radius half_x half_y top")
 
 
-class Surface(IntEnum):
-    """What a polygon or rod is made of; the compiled shading code knows the values."""
-
-    PAINT = 0  # the thing's own colour
-    GLASS = 1
-    RUBBER = 2
-    STEEL = 3
-    HEADLIGHT = 4
-    TAILLIGHT = 5
-    LANTERN = 6
-    WOOD = 7
-    STONE = 8
-    CANVAS = 9
-    RAILING = 10
-    TRIM = 11
-    SKIN = 12
-    WINDOW = 13
-    SIGN = 14
-    DARK = 15
+# What a polygon or rod is made of; paint has the thing's own colour, a sign its second one.
+Surface = IntEnum(
+    "Surface",
+    "PAINT GLASS RUBBER STEEL HEADLIGHT TAILLIGHT LANTERN WOOD STONE CANVAS RAILING TRIM SKIN WINDOW SIGN DARK",
+    start=0,
+)
 
 
 class Model:

@@ -64,6 +64,19 @@ class Plan:
         """Kind of the street between two neighbouring junctions."""
         return self.column_kinds[a[0]] if a[0] == b[0] else self.row_kinds[a[1]]
 
+    def crossed(self, a: tuple[int, int], b: tuple[int, int]) -> tuple[Kind, Kind]:
+        """Kinds of the streets that cross the street between two junctions at its ends."""
+        along_row = a[1] == b[1]
+        kinds, axis = (self.column_kinds, 0) if along_row else (self.row_kinds, 1)
+        return kinds[a[axis]], kinds[b[axis]]
+
+    def axis(self, a: tuple[int, int], b: tuple[int, int]) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
+        """Start of the street between two junctions, its length, its unit direction, and that to its left."""
+        start, delta = self.junctions[a], self.junctions[b] - self.junctions[a]
+        length = float(np.linalg.norm(delta))
+        along = delta / length
+        return start, length, along, np.array([-along[1], along[0]])
+
     def edges(self) -> list[tuple[tuple[int, int], tuple[int, int]]]:
         """All pairs of neighbouring junctions, rows first, each in the direction of growing coordinates."""
         rows = [((i, j), (i + 1, j)) for j in range(N_ROWS) for i in range(N_COLUMNS - 1)]
@@ -96,11 +109,8 @@ def street_pieces(plan: Plan, track: np.ndarray, paths: list[tuple[np.ndarray, n
     """List every street piece, the pieces of the railway and the paths of the parks, as records ``STREET_PIECE``."""
     rows = []
     for a, b in plan.edges():
-        along_row = a[1] == b[1]
-        across = plan.column_kinds if along_row else plan.row_kinds
-        axis = 0 if along_row else 1
-        mouths = ROAD_HALF[across[a[axis]]], ROAD_HALF[across[b[axis]]]
-        line = 8 * a[0] + a[1] + (100 if along_row else 200)
+        mouths = ROAD_HALF[list(plan.crossed(a, b))]
+        line = 8 * a[0] + a[1] + (100 if a[1] == b[1] else 200)
         rows.append((plan.junctions[a], plan.junctions[b], plan.kind(a, b), 0.0, *mouths, STREET_CAP, line))
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track, axis=0), axis=1))])
     rows += [(track[k], track[k + 1], Kind.RAILWAY, travelled[k], 0.0, 0.0, 0.15, 99) for k in range(len(track) - 1)]
@@ -125,6 +135,14 @@ def meet(p: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarr
     return p + u * ((w[0] * v[1] - w[1] * v[0]) / cross)
 
 
+def sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lengths, unit directions and outward normals of the sides of counter-clockwise polygons, (..., n, 2)."""
+    direction = np.roll(corners, -1, axis=-2) - corners
+    length = np.linalg.norm(direction, axis=-1)
+    unit = direction / length[..., None]
+    return length, unit, np.stack([unit[..., 1], -unit[..., 0]], axis=-1)
+
+
 def inset(corners: np.ndarray, distances: tuple[float, ...] | np.ndarray) -> np.ndarray:
     """Move each side of a counter-clockwise convex polygon inwards by its own distance; a negative one is outwards.
 
@@ -132,12 +150,9 @@ def inset(corners: np.ndarray, distances: tuple[float, ...] | np.ndarray) -> np.
     >>> inset(np.array([[0.0, 0], [4, 0], [4, 3], [0, 3]]), (1, 0, 1, 0)).tolist()
     [[0.0, 1.0], [4.0, 1.0], [4.0, 2.0], [0.0, 2.0]]
     """
-    n = len(corners)
-    direction = np.roll(corners, -1, axis=0) - corners
-    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-    moved = corners + normal * np.asarray(distances, dtype=float)[:, None]
-    return np.array([meet(moved[k - 1], direction[k - 1], moved[k], direction[k]) for k in range(n)])
+    _, unit, outward = sides(corners)
+    moved = corners - outward * np.asarray(distances, dtype=float)[:, None]
+    return np.array([meet(moved[k - 1], unit[k - 1], moved[k], unit[k]) for k in range(len(corners))])
 
 
 def blocks(plan: Plan) -> list[Block]:
@@ -161,13 +176,12 @@ def _outer_blocks(plan: Plan) -> list[Block]:
     outline += [((0, j + 1), (0, j)) for j in reversed(range(last_row))]
     found = []
     for a, b in outline:
-        p, q = plan.junctions[a], plan.junctions[b]
-        along = (q - p) / np.linalg.norm(q - p)
-        outwards = np.array([along[1], -along[0]])
-        near, far = TOTAL_HALF[Kind.STREET], TOTAL_HALF[Kind.STREET] + OUTER_DEPTH
+        start, length, along, left = plan.axis(a, b)
+        near = -TOTAL_HALF[Kind.STREET] * left
+        far = near - OUTER_DEPTH * left
         # A trim at both ends keeps neighbouring strips apart where the outline bends outwards or inwards.
-        p, q = p + 3.0 * along, q - 3.0 * along
-        corners = np.array([q + near * outwards, p + near * outwards, p + far * outwards, q + far * outwards])
+        p, q = start + 3.0 * along, start + (length - 3.0) * along
+        corners = np.array([q + near, p + near, p + far, q + far])
         found.append(Block(corners, a, outer=True))
     return found
 

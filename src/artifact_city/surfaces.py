@@ -2,16 +2,17 @@
 
 import numpy as np
 
+from artifact_city.buildings import Material
 from artifact_city.fragments import K_LEAF, K_ROOF, K_THING
 from artifact_city.kernel import kernel
 from artifact_city.models import N_CARS
 from artifact_city.noise import cloud_noise, hash3, noise2, noise3, smooth, stripes
 from artifact_city.palette import filtered, mixed, put, scaled
+from artifact_city.solids import Surface
 from artifact_city.trace import BUILDING, LEAF, THING
 from artifact_city.view import SAMPLES
 
 _LEAF_GREEN = np.array([[0.075, 0.130, 0.022], [0.070, 0.118, 0.024], [0.022, 0.055, 0.020], [0.058, 0.105, 0.022]])
-_HEDGE = 6
 _NO_LIGHT = (0.0, 0.0, 0.0)
 
 
@@ -41,7 +42,7 @@ def paint_roofs(view_record, light_record, buildings, fragments, index, counts):
                 value *= 1.0 + fine * 0.3 * (tone - 0.5 - stripes(up, 0.33, 0.06, foot))
             settle = smooth(2.4, 0.9, pitch) * smooth(0.12, 0.3, stains)
         c = scaled(house.roof, value)
-        if house.material == _HEDGE:
+        if house.material == Material.HEDGE:
             c = filtered(scaled(c, 0.6 + 0.8 * noise2(x * 4.0, y * 4.0, seed)), light.leaf)
         white = min(0.95, 1.55 * light.snow) * settle
         put(f.normal, (nx, ny, nz))
@@ -107,35 +108,35 @@ def paint_things(light_record, things, models, faces, fragments, index, counts):
 def _thing_look(thing, surface, light, x, y, z, nz):
     """Reflectance, emission, gloss and readiness to carry snow at a point in a thing's own frame."""
     grain = 0.85 + 0.25 * noise2(3.0 * x + 2.0 * y + thing.x, 3.0 * z + thing.y, 5.0)
-    if surface == 0:  # paint
+    if surface == Surface.PAINT:
         car = thing.model < N_CARS
         return scaled(thing.colour, 1.0 if car else grain), _NO_LIGHT, 0.6 if car else 0.0, 1.0
-    if surface == 1:  # glass
+    if surface == Surface.GLASS:
         return (0.02, 0.022, 0.025), _NO_LIGHT, 1.2, 0.3
-    if surface == 2:  # rubber
+    if surface == Surface.RUBBER:
         return (0.016, 0.016, 0.017), _NO_LIGHT, 0.0, 0.0
-    if surface == 3:  # steel
+    if surface == Surface.STEEL:
         return (0.27, 0.28, 0.29), _NO_LIGHT, 0.25, 1.0
-    if surface == 4:  # headlight
+    if surface == Surface.HEADLIGHT:
         return (0.75, 0.75, 0.72), scaled((3.5, 3.2, 2.7), thing.lit), 0.4, 0.0
-    if surface == 5:  # tail light
+    if surface == Surface.TAILLIGHT:
         return (0.30, 0.015, 0.012), scaled((0.9, 0.045, 0.03), thing.lit), 0.2, 0.0
-    if surface == 6:  # lantern
+    if surface == Surface.LANTERN:
         return (0.75, 0.72, 0.62), scaled((5.0, 4.0, 2.5), light.dark), 0.0, 0.0
-    if surface == 7:  # wood
+    if surface == Surface.WOOD:
         return scaled((0.17, 0.105, 0.055), grain), _NO_LIGHT, 0.0, 1.0
-    if surface == 8:  # stone
+    if surface == Surface.STONE:
         return scaled((0.36, 0.34, 0.29), grain), _NO_LIGHT, 0.0, 1.0
-    if surface == 9:  # canvas
+    if surface == Surface.CANVAS:
         return mixed(thing.colour, thing.second, stripes(y, 0.62, 0.31, 0.05)), _NO_LIGHT, 0.0, 1.0
-    if surface == 11:  # trim
+    if surface == Surface.TRIM:
         return (0.6, 0.58, 0.52), _NO_LIGHT, 0.0, 1.0
-    if surface == 13:  # window of an oriel or a dormer
+    if surface == Surface.WINDOW:  # window of an oriel or a dormer
         bars = 0.6 * min(1.0, stripes(y + 0.02, 0.48, 0.05, 0.02) + stripes(z - 1.6, 0.6, 0.05, 0.02))
         lit = hash3(np.floor(10.0 * (thing.x + thing.y + thing.z)), 3.0, light.lit_seed) < light.lit
         glow = (1.0 - bars) * (0.35 + 0.45 * light.dark) if lit else 0.0
         return (0.05 + bars, 0.05 + bars, 0.055 + bars), scaled((1.0, 0.7, 0.36), glow), 0.9, 0.0
-    if surface == 14:  # sign, or the roof of a dormer
+    if surface == Surface.SIGN:  # sign, or the roof of a dormer
         glow = 0.5 * light.dark if abs(nz) < 0.3 else 0.0
         return scaled(thing.second, 1.0), scaled(thing.second, glow), 0.0, 1.0
     return (0.028, 0.028, 0.03), _NO_LIGHT, 0.0, 0.6

@@ -5,6 +5,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import zoom
 
 from artifact_city import grids
 from artifact_city.buildings import Building, as_records, historical
@@ -108,9 +109,10 @@ def shade_map(seed: int, era: str, azimuth: float, elevation: float) -> np.ndarr
     """
     scene = make_town(seed, era).scene
     shade = np.empty((*scene.roof_height.shape, 3), dtype=np.float32)
+    seen = zoom(scene.openness, round(grids.OPEN_CELL / HEIGHT_CELL), order=1, mode="nearest", grid_mode=True)
+    shade[..., 2] = seen[: shade.shape[0], : shade.shape[1]]
     for layer, heights in enumerate((scene.roof_height, scene.crown_height)):
         shadow = np.zeros_like(heights)
         grids.cast_shadows(heights, np.radians(azimuth), np.radians(elevation), shadow)
         shade[..., layer] = shadow
-    grids.spread(scene.openness, grids.OPEN_CELL / HEIGHT_CELL, shade[..., 2])
     return shade

@@ -18,7 +18,6 @@ THING = 1 << 26  # + 128 thing + face
 
 FAR, _LEAF_REACH, _NEAR = 420.0, 330.0, 0.12  # metres
 _MAX_HITS = 48
-_SPRUCE, _RAILING = int(Species.SPRUCE), int(Surface.RAILING)
 
 
 @kernel
@@ -196,7 +195,7 @@ def trace_crowns(view_record, trees, shapes, blobs, foliage, surface, depth):
     for t in range(len(trees)):
         tree = trees[t]
         shape = shapes[tree.species]
-        evergreen = tree.species == _SPRUCE
+        evergreen = tree.species == Species.SPRUCE
         density = 1.0 if evergreen else foliage
         if density <= 0.0 or (tree.x - view.x) ** 2 + (tree.y - view.y) ** 2 > _LEAF_REACH**2:
             continue
@@ -285,7 +284,7 @@ def trace_things(view_record, things, models, faces, surface, depth):
             code = THING + 128 * i + f - model.first_face
             count = _project_polygon(view, corner, clipped)
             if count >= 3:
-                _fill(view, clipped, count, nx, ny, nz, facing, face.surface == _RAILING, code, surface, depth)
+                _fill(view, clipped, count, nx, ny, nz, facing, face.surface == Surface.RAILING, code, surface, depth)
 
 
 @kernel
