@@ -7,7 +7,7 @@ import pytest
 
 import artifact_city
 from artifact import manifest
-from artifact_city import traversal
+from artifact_city import rendering, traversal
 from artifact_city.trace import BUILDING, LEAF
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -47,7 +47,7 @@ def test_every_query_has_a_positive_and_distractor_traversals_suffice(pair):
 
 def visible_buildings(drive, index):
     """Numbers of the buildings in the middle half of a frame; a number names the same lot in every era."""
-    surface = traversal.trace_frame(drive, index).surface
+    surface = rendering.trace_frame(drive, index).surface
     codes = surface[surface.shape[0] // 4 : -surface.shape[0] // 4]
     return set(((codes[(codes >= BUILDING) & (codes < LEAF)] - BUILDING) >> 4).tolist())
 
@@ -85,7 +85,7 @@ def test_both_traversals_of_a_pair_see_the_same_buildings(pair):
 
 def test_no_camera_stands_in_a_building(pair):
     for made in pair[1].values():
-        buildings = traversal._town(made).scene.buildings
+        buildings = rendering.town_of(made).scene.buildings
         at = np.array([(p.x, p.y) for p in traversal.poses(made)[0]])
         for some in np.array_split(at, 8):
             # Metres to the nearest wall; a lower bound near corners.

@@ -2,29 +2,17 @@
 
 import itertools
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from artifact_city import palette
-from artifact_city.buildings import Building, Ground, Material, Windows, rectangle, wall_between
-from artifact_city.houses import villa
-from artifact_city.models import ThingList
+from artifact_city.buildings import Building, Ground, Material, Windows, rectangle, villa, wall_between
+from artifact_city.lots import HEDGE
+from artifact_city.models import Collector, ThingList
 from artifact_city.palette import choose
 from artifact_city.streets import OUTER_DEPTH, TOTAL_HALF, Kind, Plan
 from artifact_city.trees import CROWN, Species
-
-_HEDGE = {"material": Material.HEDGE, "wall": (0.035, 0.06, 0.02), "roof": (0.04, 0.07, 0.02)}
-
-
-class Stock(Protocol):
-    """Where things are collected; see ``furnish.Collector``."""
-
-    things: ThingList
-
-    def tree(self, p: np.ndarray, species: Species, size: float, rng: np.random.Generator) -> None:
-        """Plant a tree."""
 
 
 @dataclass(frozen=True)
@@ -90,10 +78,9 @@ def _farm(line: Line, k: int, rng: np.random.Generator) -> Building:
     house = villa(rng, rectangle(line.beside(k, distance), yaw, *size))
     if rng.random() < 0.3:
         red = rng.random() < 0.6
-        return replace(
-            house, wall=np.array([0.22, 0.035, 0.025]) if red else np.array([0.16, 0.13, 0.1]), ornament=0,
-            material=Material.SIDING, windows=Windows.NONE, ground=Ground.GATE, height=4.5, ground_height=3.6,
-        )  # fmt: skip
+        wall = np.array([0.22, 0.035, 0.025] if red else [0.16, 0.13, 0.1])
+        barn = replace(house, wall=wall, material=Material.SIDING, ornament=0, height=4.5)
+        return replace(barn, windows=Windows.NONE, ground=Ground.GATE, ground_height=3.6)
     return house
 
 
@@ -103,20 +90,16 @@ def _lineside(line: Line, start: int, stop: int, side: float, rng: np.random.Gen
     shared: dict = {"seed": int(rng.integers(1 << 30)), "tags": frozenset({"wall"})}
     thickness = 0.5
     if style < 0.3:
-        shared |= {"height": float(rng.uniform(0.9, 1.8)), **_HEDGE}
+        shared |= {"height": float(rng.uniform(0.9, 1.8)), **HEDGE}
         thickness = 0.9
     elif style < 0.55:
         shared |= {"height": 1.15, "material": Material.FENCE, "wall": choose(rng, palette.SIDING)}
         thickness = 0.12
     elif style < 0.8:
-        shared |= {
-            "height": float(rng.uniform(0.8, 1.4)),
-            "material": Material.STONE,
-            "wall": choose(rng, palette.STONE),
-        }
+        wall = choose(rng, palette.STONE)
+        shared |= {"height": float(rng.uniform(0.8, 1.4)), "material": Material.STONE, "wall": wall}
     else:  # a retaining wall, as in a cutting
-        material = Material.BRICK if rng.random() < 0.5 else Material.STONE
-        table = palette.BRICK if material == Material.BRICK else palette.STONE
+        material, table = (Material.BRICK, palette.BRICK) if rng.random() < 0.5 else (Material.STONE, palette.STONE)
         distance = float(rng.uniform(4.2, 5.2)) * side
         shared |= {"height": float(rng.uniform(2.2, 4.2)), "material": material, "wall": choose(rng, table)}
         shared |= {"roof": (0.06, 0.09, 0.03)}
@@ -130,33 +113,25 @@ def _lineside(line: Line, start: int, stop: int, side: float, rng: np.random.Gen
 
 def _bridge(line: Line, k: int, rng: np.random.Generator) -> list[Building]:
     """Build the two abutments of a bridge over the line; the deck is a thing."""
-    wall = choose(rng, palette.BRICK if rng.random() < 0.5 else palette.STONE)
-    tags = frozenset({"wall", "bridge"})
-    return [
-        Building(
-            rectangle(line.beside(k, side * 6.6), line.yaw(k), 4.6, 5.2), 7.0, wall, Material.STONE,
-            roof=(0.07, 0.1, 0.04), seed=k, tags=tags,
-        )
-        for side in (-1.0, 1.0)
-    ]  # fmt: skip
+    look = {"wall": choose(rng, palette.BRICK if rng.random() < 0.5 else palette.STONE), "roof": (0.07, 0.1, 0.04)}
+    look |= {"material": Material.STONE, "seed": k, "tags": frozenset({"wall", "bridge"})}
+    return [Building(rectangle(line.beside(k, s * 6.6), line.yaw(k), 4.6, 5.2), 7.0, **look) for s in (-1.0, 1.0)]
 
 
 def _station(line: Line, k: int, rng: np.random.Generator) -> list[Building]:
     """Build a platform of sixty metres with a station building behind it."""
     house = villa(rng, rectangle(line.beside(k + 5, 12.0), line.yaw(k + 5), 19.0, 8.0))
     found = [replace(house, height=7.2, ornament=1 | 8, tags=frozenset({"station"}))]
+    look = {"height": 0.8, "wall": palette.STONE[2], "roof": palette.STONE[3], "material": Material.STONE}
     for step in range(10):
         a, b = line.beside(k + step, 4.4), line.beside(k + step + 1, 4.4)
-        platform = wall_between(
-            a + 0.01 * (b - a), b - 0.01 * (b - a), 3.2, height=0.8, wall=palette.STONE[2], roof=palette.STONE[3],
-            material=Material.STONE, tags=frozenset({"wall", "platform"}),
-        )  # fmt: skip
+        platform = wall_between(a + 0.01 * (b - a), b - 0.01 * (b - a), 3.2, tags=frozenset({"wall"}), **look)
         found.append(platform)
     return found
 
 
-def furnish_country(stock: Stock, plan: Plan, buildings: list[Building], track: np.ndarray) -> None:
-    """Plant the country along the line, and put up masts, wires, signals, bridge decks, wagons and poles."""
+def furnish_country(stock: Collector, plan: Plan, buildings: list[Building], track: np.ndarray) -> None:
+    """Plant the country along the line, and put up masts, wires and the decks of bridges."""
     rng = np.random.default_rng([plan.seed, 9])
     line = line_of(track)
     country = [b for b in buildings if b.tags & {"wall", "station", "villa"}]
@@ -173,30 +148,17 @@ def furnish_country(stock: Stock, plan: Plan, buildings: list[Building], track: 
             stock.tree(p, species, size, rng)
 
     _plant_groves(line, plant, rng)
-    _string_wires(stock.things, line, rng)
+    _string_wires(stock.things, line)
     for b in buildings:
         if "bridge" in b.tags:
             middle, k = b.corners.mean(axis=0), b.seed
             if (middle - line.points[k]) @ line.outward[k] > 0:
                 yaw = line.yaw(k) + np.pi / 2
-                stock.things.add("deck", *line.points[k], yaw, z=7.0, scale=(10.0, 4.6, 1.0), colour=b.wall)
-    for name, count in (("silo", 4), ("water_tower", 1), ("stack", 2), ("wagon", 9), ("hut", 8)):
-        for _ in range(count):
-            k = int(rng.integers(6, len(track) - 6))
-            close = name in ("wagon", "hut")
-            p = line.beside(
-                k,
-                float(
-                    rng.uniform(5.0, 5.6) if name == "wagon" else rng.uniform(5, 8) if close else rng.uniform(18, 40)
-                ),
-            )
-            if near_house.query(p)[0] > (7.5 if close else 11):
-                colour = choose(rng, palette.BRICK if name == "wagon" else palette.CONCRETE)
-                stock.things.add(name, *p, line.yaw(k), colour=colour, second=choose(rng, palette.ROOF))
+                stock.things.add("deck", line.points[k], yaw, z=7.0, scale=(10.0, 4.6, 1.0), colour=b.wall)
 
 
 def _plant_groves(line: Line, plant: object, rng: np.random.Generator) -> None:
-    kinds = [Species.LINDEN, Species.BIRCH, Species.SPRUCE, Species.POPLAR, Species.SHRUB, Species.PLANE]
+    kinds = [Species.LINDEN, Species.LINDEN, Species.SPRUCE, Species.POPLAR, Species.SHRUB]
     for _ in range(190):  # groves and lone trees
         k = int(rng.integers(len(line.points)))
         centre = line.beside(k, float(rng.uniform(8, 50)) if rng.random() < 0.7 else -float(rng.uniform(8, 22)))
@@ -214,16 +176,10 @@ def _plant_groves(line: Line, plant: object, rng: np.random.Generator) -> None:
             plant(line.beside(k, side * float(rng.uniform(5.5, 9))), Species.SHRUB, float(rng.uniform(0.6, 1.5)))
 
 
-def _string_wires(things: ThingList, line: Line, rng: np.random.Generator) -> None:
-    points = line.points
-    for k in range(0, len(points) - 8, 8):
-        things.add("mast", *line.beside(k, 3.2), float(np.arctan2(*-line.outward[k][::-1])))
-        ahead = points[min(k + 8, len(points) - 1)] - points[k]
+def _string_wires(things: ThingList, line: Line) -> None:
+    for k in range(0, len(line.points) - 8, 8):
+        things.add("mast", line.beside(k, 3.2), float(np.arctan2(*-line.outward[k][::-1])))
+        ahead = line.points[k + 8] - line.points[k]
         length, yaw = float(np.linalg.norm(ahead)), float(np.arctan2(ahead[1], ahead[0]))
         for z in (5.4, 6.45):
-            things.add("wire", *line.beside(k, 0.3), yaw, z=z, scale=(length, 1, 1))
-        if rng.random() < 0.12:
-            things.add("signal", *line.beside(k, -2.8), yaw + np.pi, lit=True)
-    for k in range(2, len(points) - 4, 5):
-        if rng.random() < 0.5:
-            things.add("pole", *line.beside(k, -3.6), line.yaw(k))
+            things.add("wire", line.beside(k, 0.3), yaw, z=z, scale=(length, 1, 1))

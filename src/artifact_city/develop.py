@@ -1,53 +1,122 @@
-"""From linear light to an 8-bit image, as a camera does it: blur, exposure, tone, noise, monochrome, old plates."""
+"""From linear light to an 8-bit image, as a camera does it: mirror images, halos, bloom, blur, exposure, tone, noise."""
 
 from functools import cache
 
 import numpy as np
+from PIL import Image
+from scipy.ndimage import gaussian_filter
 
-from artifact_city.kernel import kernel
-from artifact_city.noise import hash3, noise2, smooth
-from artifact_city.records import layout
+from artifact_city.kernel import kernel, layout
+from artifact_city.noise import hash3, noise2
+from artifact_city.palette import accumulate, added, blend, filtered, mixed, scaled
+from artifact_city.view import SAMPLES, horizon_at, project, ray_of
 
-# How a sensor renders one frame.
-SENSOR = layout(
-    gain=("f8", (3,)),  # exposure and white balance
-    saturation="f8",
-    noise="f8",
-    mono="f8",
-    tint=("f8", (3,)),
-    vignette="f8",
-    scratches="f8",
-    seam="f8",  # column of a panorama's stitch, or negative
-    seam_shift="f8",  # rows
-    seam_gain="f8",
-    seed="f8",
-)
-
-
-@kernel
-def soften(image, sigma):
-    """Blur an image by a small Gaussian, in place."""
-    rows, columns = image.shape[0], image.shape[1]
-    a = np.exp(-0.5 / (sigma * sigma))
-    b = np.exp(-2.0 / (sigma * sigma))
-    norm = 1.0 / (1.0 + 2.0 * a + 2.0 * b)
-    swap = np.empty_like(image)
-    for r in range(rows):
-        for c in range(columns):
-            l1, r1, l2, r2 = max(0, c - 1), min(columns - 1, c + 1), max(0, c - 2), min(columns - 1, c + 2)
-            for k in range(3):
-                near, far = image[r, l1, k] + image[r, r1, k], image[r, l2, k] + image[r, r2, k]
-                swap[r, c, k] = norm * (image[r, c, k] + a * near + b * far)
-    for r in range(rows):
-        u1, d1, u2, d2 = max(0, r - 1), min(rows - 1, r + 1), max(0, r - 2), min(rows - 1, r + 2)
-        for c in range(columns):
-            for k in range(3):
-                near, far = swap[u1, c, k] + swap[d1, c, k], swap[u2, c, k] + swap[d2, c, k]
-                image[r, c, k] = norm * (swap[r, c, k] + a * near + b * far)
-
+# How a sensor renders one frame; ``gain`` is exposure and white balance.
+SENSOR = layout("gain:3 saturation noise mono tint:3 vignette seed")
 
 _CURVE_SIZE = 2048
 _CURVE_TOP = 12.0  # linear light at the end of the tone curve
+
+
+@kernel
+def mirror_ground(view_record, depth, mirror, image):
+    """Add mirror images to wet ground and water, in place.
+
+    The ground is level, so what a ground point at row r mirrors lies in its own column: at the row as far above the
+    horizon, lowered by the parallax of twice the camera's height at the mirrored point's depth.
+    """
+    view = view_record[0]
+    rows, columns = mirror.shape
+    focal = view.focal / SAMPLES
+    source = image.copy()
+    for column in range(columns):
+        horizon = horizon_at(view, SAMPLES * (column + 0.5)) / SAMPLES
+        ray_x, ray_y = ray_of(view, SAMPLES * (column + 0.5))
+        for row in range(rows):
+            share = mirror[row, column]
+            below = row + 0.5 - horizon
+            if share <= 0.01 or below <= 0.5:
+                continue
+            far = view.z * focal / below
+            ripple = noise2(column * 0.9 + 3.0 * view.x, 90.0 / below + far * 1.7, 5.0) - 0.5
+            target = horizon - below
+            for _ in range(2):
+                at = min(rows - 1, max(0, np.int64(target)))
+                beyond = max(depth[SAMPLES * column, SAMPLES * at], far)
+                target = horizon - below + 2.0 * focal * view.z / beyond
+            target += ripple * (2.0 + 0.12 * below)
+            side = min(columns - 1, max(0, np.int64(column + 1.5 * ripple)))
+            total, weight = (0.0, 0.0, 0.0), 0.0
+            for k in range(-2, 3):
+                at = max(0, np.int64(target + k * (0.6 + 0.05 * below)))
+                if at < row:
+                    total, weight = added(total, source[at, side], 3.0 - abs(k)), weight + 3.0 - abs(k)
+            if weight == 0.0:
+                continue
+            grazing = 1.0 - view.z / np.sqrt(view.z * view.z + far * far)
+            puddle = 0.45 + 0.55 * noise2((view.x + far * ray_x) * 0.45, (view.y + far * ray_y) * 0.45, 6.0)
+            strength = share * (0.10 + 0.90 * grazing**3) * (puddle if share < 0.7 else 1.0)
+            kept = scaled(image[row, column], 0.4)
+            blend(image[row, column], added(kept, total, 1.0 / weight), strength)
+
+
+@kernel
+def _halo(view, x, y, z, power, colour, depth, image):
+    """Add a round halo at a point, by how many of the samples around it see as far."""
+    column, row, far = project(view, x, y, z)
+    if far < 1.0 or far > 140.0:
+        return
+    seen = 0.0
+    for i in range(-2, 3):
+        for j in range(-2, 3):
+            c, r = np.int64(column + 1.5 * i), np.int64(row + 1.5 * j)
+            if 0 <= c < view.columns and 0 <= r < view.rows and depth[c, r] > far - 0.6:
+                seen += power / 25.0
+    core = max(0.55, 0.10 * view.focal / SAMPLES / far)
+    column, row, reach = column / SAMPLES, row / SAMPLES, np.int64(min(70.0, 9.0 + 26.0 * core)) if seen > 0.0 else 0
+    for r in range(max(0, np.int64(row) - reach), min(image.shape[0] - 1, np.int64(row) + reach) + 1):
+        for c in range(max(0, np.int64(column) - reach), min(image.shape[1] - 1, np.int64(column) + reach) + 1):
+            d2 = (r + 0.5 - row) ** 2 + (c + 0.5 - column) ** 2
+            edge, d2 = max(0.0, 1.0 - d2 / (reach * reach + 1.0)), d2 / (core * core)
+            accumulate(image[r, c], colour, seen * edge * (1.6 / (1.0 + d2) ** 1.5 + 0.045 / (1.0 + 0.02 * d2)))
+
+
+@kernel
+def add_halos(view_record, light_record, lamps, things, depth, image):
+    """Add the halos of street lamps at night, and of the lights of cars that have them on."""
+    view, light = view_record[0], light_record[0]
+    for k in range(len(lamps) if light.dark > 0.0 else 0):
+        lamp = lamps[k]
+        colour = (1.0, 0.62 + 0.26 * lamp.tone, 0.28 + 0.4 * lamp.tone)
+        _halo(view, lamp.x, lamp.y, lamp.z, 1.1 + 1.6 * lamp.power, colour, depth, image)
+    for i in range(len(things)):
+        thing = things[i]
+        if thing.lit <= 0.0:
+            continue
+        cos, sin = np.cos(thing.yaw), np.sin(thing.yaw)
+        dx, dy = view.x - thing.x, view.y - thing.y
+        facing = (cos * dx + sin * dy) / (np.sqrt(dx * dx + dy * dy) + 1e-3)
+        z, power, colour = 0.66, (0.5 + 1.1 * light.dark) * facing * facing, (1.0, 0.95, 0.85)
+        if facing < 0.0:
+            z, power, colour = 0.82, 0.25 + 0.6 * light.dark, (1.0, 0.06, 0.04)
+        ahead = 2.25 if facing > 0.0 else -2.3
+        for across in (-0.6, 0.6):
+            x, y = thing.x + ahead * cos - across * sin, thing.y + ahead * sin + across * cos
+            _halo(view, x, y, z, power if abs(facing) > 0.2 else 0.0, colour, depth, image)
+
+
+def bloom(image: np.ndarray, strength: float) -> None:
+    """Let bright parts glow: a quarter-size blur of what exceeds white is added, in place."""
+    size = image.shape[1], image.shape[0]
+    for channel in np.moveaxis(image, 2, 0):
+        bright = Image.fromarray(np.clip(channel - 0.7, 0, 6)).reduce(4)
+        glow = Image.fromarray(gaussian_filter(np.asarray(bright), 2.4)).resize(size, Image.Resampling.BILINEAR)
+        channel += strength * np.asarray(glow)
+
+
+def soften(image: np.ndarray, sigma: float) -> np.ndarray:
+    """Blur an image by a small Gaussian."""
+    return gaussian_filter(image, (sigma, sigma, 0))
 
 
 @cache
@@ -66,80 +135,31 @@ def tone_curve(contrast: float) -> np.ndarray:
 def _tone(x, curve):
     place = np.sqrt(min(1.0, max(0.0, x) * (1.0 / _CURVE_TOP))) * _CURVE_SIZE
     k = min(_CURVE_SIZE - 1, np.int64(place))
-    return curve[k] + (place - k) * (curve[k + 1] - curve[k])
+    return float(curve[k] + (place - k) * (curve[k + 1] - curve[k]))
 
 
 @kernel
 def develop(image, sensor_record, curve, out):
-    """Render a linear image as 8-bit sRGB.
-
-    Parameters
-    ----------
-    image : ndarray, float32 (rows, columns, 3)
-    sensor_record : ndarray of SENSOR, one record
-    curve : ndarray
-        See :func:`tone_curve`.
-    out : ndarray, uint8 (rows, columns, 3)
-        Filled.
-    """
+    """Render a linear image, float32 (rows, columns, 3), as 8-bit sRGB in ``out``; see :func:`tone_curve`."""
     sensor = sensor_record[0]
     rows, columns = out.shape[0], out.shape[1]
     for r in range(rows):
         for c in range(columns):
-            gain, row = 1.0, r
-            if sensor.seam >= 0.0 and c > sensor.seam:
-                gain = sensor.seam_gain
-                row = min(rows - 1, max(0, r + np.int64(sensor.seam_shift)))
             dx, dy = (c + 0.5) / columns - 0.5, (r + 0.5) / rows - 0.5
-            gain *= 1.0 - sensor.vignette * 2.2 * (dx * dx + dy * dy) * (0.6 + 0.8 * (dx * dx + dy * dy))
-            red = image[row, c, 0] * sensor.gain[0] * gain
-            green = image[row, c, 1] * sensor.gain[1] * gain
-            blue = image[row, c, 2] * sensor.gain[2] * gain
+            edge = dx * dx + dy * dy
+            colour = scaled(filtered(image[r, c], sensor.gain), 1.0 - sensor.vignette * 2.2 * edge * (0.6 + 0.8 * edge))
             if sensor.mono > 0.0:
                 # Old plates and sensors at night see blue better than the eye does.
-                red = 0.24 * red + 0.42 * green + 0.34 * blue
-                green = blue = red
-            red, green, blue = _tone(red, curve), _tone(green, curve), _tone(blue, curve)
-            grey = 0.3 * red + 0.59 * green + 0.11 * blue
-            red = grey + sensor.saturation * (red - grey)
-            green = grey + sensor.saturation * (green - grey)
-            blue = grey + sensor.saturation * (blue - grey)
-            if sensor.noise > 0.0:
-                key = float(r * columns + c)
-                strength = sensor.noise * (0.6 + 2.6 * grey * (1.0 - grey) * (1.0 - 0.7 * grey))
-                a, b, d = hash3(key, sensor.seed, 1.0), hash3(key, sensor.seed, 2.0), hash3(key, sensor.seed, 3.0)
-                shared = 1.6 * (a + b + d - 1.5)
-                own = 0.0 if sensor.mono > 0.0 else 1.2
-                red += strength * (shared + own * (a - b))
-                green += strength * (shared + own * (b - d))
-                blue += strength * (shared + own * (d - a))
-            if sensor.mono > 0.0:
-                damage = _damage(sensor, r, c, rows, columns) if sensor.scratches > 0.0 else 0.0
-                red = red + damage
-                faded = sensor.scratches
-                red = red * (1.0 - 0.16 * faded) + 0.07 * faded
-                red, green, blue = red * sensor.tint[0], red * sensor.tint[1], red * sensor.tint[2]
-            out[r, c, 0] = np.uint8(min(255.0, max(0.0, 255.0 * red + 0.5)))
-            out[r, c, 1] = np.uint8(min(255.0, max(0.0, 255.0 * green + 0.5)))
-            out[r, c, 2] = np.uint8(min(255.0, max(0.0, 255.0 * blue + 0.5)))
-
-
-@kernel
-def _damage(sensor, r, c, rows, columns):
-    """Scratches, spots and stains of an old plate: what to add to the grey value."""
-    value = 0.10 * (noise2(c * 0.013, r * 0.013, sensor.seed) - 0.5)
-    for k in range(3):
-        x = hash3(sensor.seed, float(k), 21.0) * columns + 3.0 * (noise2(r * 0.02, float(k), sensor.seed) - 0.5)
-        if abs(c + 0.5 - x) < 0.6:
-            start = hash3(sensor.seed, float(k), 22.0) * rows
-            length = 0.2 + 0.6 * hash3(sensor.seed, float(k), 23.0)
-            if start < r < start + length * rows:
-                value += 0.22 * (0.4 + hash3(float(r // 3), float(k), sensor.seed))
-    for k in range(9):
-        x, y = hash3(sensor.seed, float(k), 31.0) * columns, hash3(sensor.seed, float(k), 32.0) * rows
-        size = 0.5 + 1.4 * hash3(sensor.seed, float(k), 33.0) ** 2
-        near = (c + 0.5 - x) ** 2 + (r + 0.5 - y) ** 2
-        if near < 4.0 * size * size:
-            mark = smooth(2.0 * size, 0.6 * size, np.sqrt(near))
-            value += mark * (0.4 if hash3(sensor.seed, float(k), 34.0) < 0.7 else -0.35)
-    return sensor.scratches * value
+                level = 0.24 * colour[0] + 0.42 * colour[1] + 0.34 * colour[2]
+                colour = (level, level, level)
+            colour = (_tone(colour[0], curve), _tone(colour[1], curve), _tone(colour[2], curve))
+            grey = 0.3 * colour[0] + 0.59 * colour[1] + 0.11 * colour[2]
+            key = float(r * columns + c)
+            a, b, d = hash3(key, sensor.seed, 1.0), hash3(key, sensor.seed, 2.0), hash3(key, sensor.seed, 3.0)
+            shared, own = 1.6 * (a + b + d - 1.5), 1.2 * (1.0 - sensor.mono)
+            grain = (shared + own * (a - b), shared + own * (b - d), shared + own * (d - a))
+            strength = sensor.noise * (0.6 + 2.6 * grey * (1.0 - grey) * (1.0 - 0.7 * grey))
+            colour = added(mixed((grey, grey, grey), colour, sensor.saturation), grain, strength)
+            colour = filtered(colour, sensor.tint)
+            for k in range(3):
+                out[r, c, k] = np.uint8(min(255.0, max(0.0, 255.0 * colour[k] + 0.5)))

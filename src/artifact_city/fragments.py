@@ -2,38 +2,18 @@
 
 import numpy as np
 
-from artifact_city.kernel import kernel
-from artifact_city.records import layout
+from artifact_city.kernel import kernel, layout
 from artifact_city.trace import BUILDING, GROUND, LEAF, SKY, THING
 from artifact_city.view import SAMPLES, horizon_at, ray_of
 
-# One surface in one pixel: where it is, and after painting what it looks like.
+# One surface in one pixel: where it is, and after painting what it looks like. ``share`` is that of the pixel; ``ray`` and
+# ``slope`` are displacements per unit of depth; ``hidden`` and ``blocked`` the shares of sky and sun that some thing keeps
+# away; ``gloss`` is the strength of the mirror image of the sky, ``contact`` a factor on all light (corners and
+# undersides), ``leaf`` the share of direct light that a leaf takes up.
 FRAGMENT = layout(
-    row="i4",
-    column="i4",
-    code="i4",
-    share="f4",  # of the pixel
-    depth="f4",
-    x="f4",
-    y="f4",
-    z="f4",
-    ray_x="f4",  # displacement per unit of depth
-    ray_y="f4",
-    slope="f4",
-    hidden="f4",  # share of the sky that some thing keeps away
-    blocked="f4",  # share of the sun that some thing keeps away
-    nx="f4",
-    ny="f4",
-    nz="f4",
-    red="f4",  # reflectance
-    green="f4",
-    blue="f4",
-    glow_red="f4",  # emitted light
-    glow_green="f4",
-    glow_blue="f4",
-    gloss="f4",  # strength of the mirror image of the sky
-    contact="f4",  # factor on all light, for corners and undersides
-    leaf="f4",  # share of direct light that a leaf takes up
+    "row:i column:i code:i share depth x y z ray_x ray_y slope hidden blocked normal:3 colour:3 glow:3 gloss contact leaf",
+    real="f4",
+    whole="i4",
 )
 
 # Kinds of surface, in the order of the rows of ``index`` below.
@@ -43,22 +23,11 @@ N_KINDS = 6
 
 @kernel
 def gather(view_record, surface, depth, blocked, rows, columns, fragments, index, counts):
-    """Turn samples into fragments; returns how many.
+    """Turn samples into fragments; count those of each kind in ``counts`` and list them in ``index`` (kinds, fragments).
 
     Samples of one pixel that see the same surface become one fragment at their mean position: textures are filtered
-    analytically, so only the outlines of surfaces need several samples.
-
-    Parameters
-    ----------
-    surface, depth : ndarray, (columns, rows) of samples
-    blocked : ndarray, uint8 (columns, rows, 2)
-        Shares of sky and sun kept away by small things, of 255.
-    fragments : ndarray of FRAGMENT
-        Filled; one per pixel and surface at most.
-    index : ndarray, int32 (kinds, fragments)
-        Filled with the numbers of the fragments of each kind.
-    counts : ndarray, int64 (kinds,)
-        Filled with how many fragments of each kind there are.
+    analytically, so only the outlines of surfaces need several samples. ``blocked``, uint8 (columns, rows, 2), has the
+    shares of sky and sun kept away by small things, of 255.
     """
     view = view_record[0]
     n = SAMPLES * SAMPLES
@@ -105,10 +74,9 @@ def gather(view_record, surface, depth, blocked, rows, columns, fragments, index
                 f.x, f.y, f.z = view.x + far * ray_x, view.y + far * ray_y, view.z + far * slope
                 f.ray_x, f.ray_y, f.slope = ray_x, ray_y, slope
                 f.hidden, f.blocked = sums[at, 3] / m, sums[at, 4] / m
-                f.nx, f.ny, f.nz = 0.0, 0.0, 0.0
-                f.glow_red, f.glow_green, f.glow_blue = 0.0, 0.0, 0.0
+                for k in range(3):
+                    f.normal[k], f.glow[k] = 0.0, 0.0
                 f.gloss, f.contact, f.leaf = 0.0, 1.0, 0.0
                 index[kind, counts[kind]] = total
                 counts[kind] += 1
                 total += 1
-    return total

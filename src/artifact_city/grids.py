@@ -4,7 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from artifact_city.buildings import roof_at
 from artifact_city.kernel import kernel
+from artifact_city.streets import sides
 
 HEIGHT_CELL = 0.5  # metres; heights and shadows
 OPEN_CELL = 2.0  # metres; share of the sky seen
@@ -86,24 +88,9 @@ def zone_map(polygons: list[tuple[np.ndarray, int]], extent: Extent) -> np.ndarr
     zones = np.zeros(extent.shape(1.0), dtype=np.uint8)
     for corners, zone in polygons:
         cells, centres = _box_cells(corners.min(axis=0), corners.max(axis=0), extent, 1.0)
-        direction = np.roll(corners, -1, axis=0) - corners
-        offset = centres[:, None] - corners
-        inside = (direction[:, 0] * offset[..., 1] - direction[:, 1] * offset[..., 0] > -1e-9).all(axis=1)
+        inside = ((centres[:, None] - corners) * sides(corners)[2]).sum(axis=2).max(axis=1) < 1e-9
         zones.reshape(-1)[cells[inside]] = zone
     return zones
-
-
-@kernel
-def roof_at(house, x, y):
-    """Height of a building's roof above a point; negative outside its walls."""
-    rise = house.cap
-    for k in range(4):
-        inside = house.offset[k] - house.normal[k, 0] * x - house.normal[k, 1] * y
-        if inside < 0.0:
-            return -1.0
-        if house.slope[k] > 0.0:
-            rise = min(rise, house.slope[k] * inside)
-    return house.height + rise
 
 
 @kernel
@@ -205,21 +192,6 @@ def cast_shadows(heights, azimuth, elevation, shadow):
                 shadow[line, q] = max(0.0, best - drop)
             else:
                 shadow[q, line] = max(0.0, best - drop)
-
-
-@kernel
-def spread(coarse, ratio, fine):
-    """Interpolate a coarse grid onto a finer one whose cells are ``ratio`` times smaller."""
-    rows, columns = coarse.shape
-    for j in range(fine.shape[0]):
-        v = min(rows - 1.001, max(0.0, (j + 0.5) / ratio - 0.5))
-        for i in range(fine.shape[1]):
-            u = min(columns - 1.001, max(0.0, (i + 0.5) / ratio - 0.5))
-            a, b = np.int64(u), np.int64(v)
-            s, t = u - a, v - b
-            low = coarse[b, a] * (1.0 - s) + coarse[b, a + 1] * s
-            high = coarse[b + 1, a] * (1.0 - s) + coarse[b + 1, a + 1] * s
-            fine[j, i] = low * (1.0 - t) + high * t
 
 
 @kernel

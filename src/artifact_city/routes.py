@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artifact_city.grids import roof_at
+from artifact_city.buildings import roof_at
 from artifact_city.streets import (
     COLUMN_NAMES,
     DRIVE_OFFSET,
@@ -93,22 +93,14 @@ def _towards(a: tuple[int, int], b: tuple[int, int]) -> tuple[int, int]:
 
 
 def drive_path(plan: Plan, route: str, lateral: str) -> Path:
-    """Lay a path along a route: in the right lane or on the right pavement, with rounded corners.
-
-    Parameters
-    ----------
-    lateral : {"lane", "pavement"}
-        Cars swing wide round corners, people do not.
-    """
+    """Lay a path along a route: in the right ``lane`` or on the right ``pavement``; cars swing wide round corners."""
     stops = junctions_of(route)
     offsets, radius = (DRIVE_OFFSET, 8.0) if lateral == "lane" else (WALK_OFFSET, 1.2)
-    corners = [plan.junctions[stop] for stop in stops]
-    kinds = [plan.kind(a, b) for a, b in itertools.pairwise(stops)]
-    lines = []
-    for p, q, kind in zip(corners, corners[1:], kinds, strict=False):
-        u = (q - p) / np.linalg.norm(q - p)
-        shift = offsets[kind] * np.array([u[1], -u[0]])
-        lines.append((p + shift, q + shift, u))
+    kinds, lines = [plan.kind(a, b) for a, b in itertools.pairwise(stops)], []
+    for (a, b), kind in zip(itertools.pairwise(stops), kinds, strict=True):
+        p, length, u, left = plan.axis(a, b)
+        start = p - offsets[kind] * left
+        lines.append((start, start + length * u, u))
     vertices = [lines[0][0]]
     for (_, end, u), (start, _, v) in itertools.pairwise(lines):
         straight = abs(u[0] * v[1] - u[1] * v[0]) < 0.02
@@ -153,11 +145,9 @@ def street_poses(plan: Plan, spacing: float) -> list[Pose]:
     """
     poses = []
     for a, b in plan.edges():
-        p, q = plan.junctions[a], plan.junctions[b]
-        length = float(np.linalg.norm(q - p))
-        u = (q - p) / length
+        p, length, u, left = plan.axis(a, b)
         heading = float(np.arctan2(u[1], u[0]))
-        across = DRIVE_OFFSET[plan.kind(a, b)] * np.array([u[1], -u[0]])
+        across = -DRIVE_OFFSET[plan.kind(a, b)] * left
         for s in np.arange(spacing / 2, length, spacing):
             for turned in (1.0, -1.0):
                 x, y = p + s * u + turned * across
@@ -173,10 +163,8 @@ def place_poses(plan: Plan, buildings: np.ndarray, count: int) -> list[Pose]:
     """
     rng = np.random.default_rng([plan.seed, 21])
     corners = buildings["corners"]
-    centre, reach = (
-        corners.mean(axis=1),
-        np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1),
-    )
+    centre = corners.mean(axis=1)
+    reach = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
     edges = plan.edges()
     found: list[Pose] = []
     for _ in range(60 * count):
@@ -184,12 +172,10 @@ def place_poses(plan: Plan, buildings: np.ndarray, count: int) -> list[Pose]:
             return found
         a, b = edges[int(rng.integers(len(edges)))]
         kind = plan.kind(a, b)
-        p, q = plan.junctions[a], plan.junctions[b]
-        u = (q - p) / np.linalg.norm(q - p)
-        side = 1.0 if rng.random() < 0.5 else -1.0
-        normal = side * np.array([-u[1], u[0]])
+        p, length, u, left = plan.axis(a, b)
+        normal = left if rng.random() < 0.5 else -left
         away = rng.uniform(ROAD_HALF[kind] - 0.5, TOTAL_HALF[kind] - 1.0) if kind != Kind.CANAL else 12.5
-        at = p + rng.uniform(0.04, 0.96) * (q - p) + away * normal
+        at = p + rng.uniform(0.04, 0.96) * length * u + away * normal
         tilt = np.radians(rng.uniform(18, 72)) * (1 if rng.random() < 0.5 else -1)
         heading = float(np.arctan2(-normal[1], -normal[0]) + tilt)
         if any(np.hypot(o.x - at[0], o.y - at[1]) < 24 and np.cos(o.heading - heading) > 0.0 for o in found):

@@ -5,7 +5,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from artifact_city.records import layout, records
+from artifact_city.kernel import layout, records
 
 N_COLUMNS, N_ROWS = 7, 6
 COLUMN_NAMES = "ABCDEFG"
@@ -37,23 +37,9 @@ WALK_OFFSET = np.array([3.6, 6.9, 9.8, 12.4, 0.0, 0.0])
 STREET_CAP = 4.0  # metres by which a street reaches past its end junctions
 
 
-# One straight piece of a street, as compiled code reads it. Lengths in metres.
-STREET_PIECE = layout(
-    x="f8",  # start
-    y="f8",
-    ux="f8",  # unit direction
-    uy="f8",
-    length="f8",
-    start="f8",  # distance along the whole line at the piece's start
-    road="f8",  # half widths
-    total="f8",
-    water="f8",
-    mouth_start="f8",  # half width of the street crossed at the start and at the end
-    mouth_end="f8",
-    cap="f8",  # reach beyond both ends
-    kind="i8",
-    seed="f8",
-)
+# One straight piece of a street as compiled code reads it: its start, unit direction and length; the distance along the
+# whole line at its start; half widths; the half widths of the streets crossed at both ends; the reach beyond both ends.
+STREET_PIECE = layout("x y ux uy length start road total water mouth_start mouth_end cap kind:i seed")
 
 
 @dataclass(frozen=True)
@@ -67,24 +53,29 @@ class Block:
 
 @dataclass(frozen=True)
 class Plan:
-    """Junctions, kinds of street, and what follows from them.
-
-    Attributes
-    ----------
-    junctions : ndarray, shape (7, 6, 2)
-        Positions in metres, x east and y north; junction ``B3`` is ``junctions[1, 2]``.
-    column_kinds, row_kinds : tuple of Kind
-        The kind of the street along each column (A-G) and row (1-6).
-    """
+    """Junctions, kinds of street, and what follows from them."""
 
     seed: int
-    junctions: np.ndarray
-    column_kinds: tuple[Kind, ...]
-    row_kinds: tuple[Kind, ...]
+    junctions: np.ndarray  # (7, 6, 2): metres east and north; junction ``B3`` is ``junctions[1, 2]``
+    column_kinds: tuple[Kind, ...]  # of the street along each column (A-G)
+    row_kinds: tuple[Kind, ...]  # and along each row (1-6)
 
     def kind(self, a: tuple[int, int], b: tuple[int, int]) -> Kind:
         """Kind of the street between two neighbouring junctions."""
         return self.column_kinds[a[0]] if a[0] == b[0] else self.row_kinds[a[1]]
+
+    def crossed(self, a: tuple[int, int], b: tuple[int, int]) -> tuple[Kind, Kind]:
+        """Kinds of the streets that cross the street between two junctions at its ends."""
+        along_row = a[1] == b[1]
+        kinds, axis = (self.column_kinds, 0) if along_row else (self.row_kinds, 1)
+        return kinds[a[axis]], kinds[b[axis]]
+
+    def axis(self, a: tuple[int, int], b: tuple[int, int]) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
+        """Start of the street between two junctions, its length, its unit direction, and that to its left."""
+        start, delta = self.junctions[a], self.junctions[b] - self.junctions[a]
+        length = float(np.linalg.norm(delta))
+        along = delta / length
+        return start, length, along, np.array([-along[1], along[0]])
 
     def edges(self) -> list[tuple[tuple[int, int], tuple[int, int]]]:
         """All pairs of neighbouring junctions, rows first, each in the direction of growing coordinates."""
@@ -118,36 +109,18 @@ def street_pieces(plan: Plan, track: np.ndarray, paths: list[tuple[np.ndarray, n
     """List every street piece, the pieces of the railway and the paths of the parks, as records ``STREET_PIECE``."""
     rows = []
     for a, b in plan.edges():
-        along_row = a[1] == b[1]
-        across = plan.column_kinds if along_row else plan.row_kinds
-        axis = 0 if along_row else 1
-        mouths = ROAD_HALF[across[a[axis]]], ROAD_HALF[across[b[axis]]]
-        line = 8 * a[0] + a[1] + (100 if along_row else 200)
+        mouths = ROAD_HALF[list(plan.crossed(a, b))]
+        line = 8 * a[0] + a[1] + (100 if a[1] == b[1] else 200)
         rows.append((plan.junctions[a], plan.junctions[b], plan.kind(a, b), 0.0, *mouths, STREET_CAP, line))
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track, axis=0), axis=1))])
     rows += [(track[k], track[k + 1], Kind.RAILWAY, travelled[k], 0.0, 0.0, 0.15, 99) for k in range(len(track) - 1)]
     rows += [(a, b, Kind.PATH, 0.0, 0.0, 0.0, 0.0, 60) for a, b in paths]
     first, last, kind, start, mouth_start, mouth_end, cap, line = (np.array(c) for c in zip(*rows, strict=True))
     length = np.linalg.norm(last - first, axis=1)
-    return records(
-        STREET_PIECE,
-        {
-            "x": first[:, 0],
-            "y": first[:, 1],
-            "ux": (last - first)[:, 0] / length,
-            "uy": (last - first)[:, 1] / length,
-            "length": length,
-            "start": start,
-            "road": ROAD_HALF[kind],
-            "total": TOTAL_HALF[kind],
-            "water": WATER_HALF[kind],
-            "mouth_start": mouth_start,
-            "mouth_end": mouth_end,
-            "cap": cap,
-            "kind": kind,
-            "seed": line + 1000 * plan.seed,
-        },
-    )
+    (x, y), (ux, uy) = first.T, (last - first).T / length
+    seed, road, total, water = line + 1000 * plan.seed, ROAD_HALF[kind], TOTAL_HALF[kind], WATER_HALF[kind]
+    columns = x, y, ux, uy, length, start, road, total, water, mouth_start, mouth_end, cap, kind, seed
+    return records(STREET_PIECE, dict(zip(STREET_PIECE.names, columns, strict=True)))
 
 
 def meet(p: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -162,27 +135,24 @@ def meet(p: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarr
     return p + u * ((w[0] * v[1] - w[1] * v[0]) / cross)
 
 
+def sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lengths, unit directions and outward normals of the sides of counter-clockwise polygons, (..., n, 2)."""
+    direction = np.roll(corners, -1, axis=-2) - corners
+    length = np.linalg.norm(direction, axis=-1)
+    unit = direction / length[..., None]
+    return length, unit, np.stack([unit[..., 1], -unit[..., 0]], axis=-1)
+
+
 def inset(corners: np.ndarray, distances: tuple[float, ...] | np.ndarray) -> np.ndarray:
-    """Move each side of a counter-clockwise convex polygon inwards by its own distance.
+    """Move each side of a counter-clockwise convex polygon inwards by its own distance; a negative one is outwards.
 
-    Parameters
-    ----------
-    corners : ndarray, shape (n, 2)
-    distances : sequence of n floats
-        Metres for the side from corner k to corner k + 1; negative moves outwards.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> inset(np.array([[0.0, 0], [4, 0], [4, 3], [0, 3]]), (1, 0, 1, 0)).tolist()
     [[0.0, 1.0], [4.0, 1.0], [4.0, 2.0], [0.0, 2.0]]
     """
-    n = len(corners)
-    direction = np.roll(corners, -1, axis=0) - corners
-    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-    moved = corners + normal * np.asarray(distances, dtype=float)[:, None]
-    return np.array([meet(moved[k - 1], direction[k - 1], moved[k], direction[k]) for k in range(n)])
+    _, unit, outward = sides(corners)
+    moved = corners - outward * np.asarray(distances, dtype=float)[:, None]
+    return np.array([meet(moved[k - 1], unit[k - 1], moved[k], unit[k]) for k in range(len(corners))])
 
 
 def blocks(plan: Plan) -> list[Block]:
@@ -206,13 +176,12 @@ def _outer_blocks(plan: Plan) -> list[Block]:
     outline += [((0, j + 1), (0, j)) for j in reversed(range(last_row))]
     found = []
     for a, b in outline:
-        p, q = plan.junctions[a], plan.junctions[b]
-        along = (q - p) / np.linalg.norm(q - p)
-        outwards = np.array([along[1], -along[0]])
-        near, far = TOTAL_HALF[Kind.STREET], TOTAL_HALF[Kind.STREET] + OUTER_DEPTH
+        start, length, along, left = plan.axis(a, b)
+        near = -TOTAL_HALF[Kind.STREET] * left
+        far = near - OUTER_DEPTH * left
         # A trim at both ends keeps neighbouring strips apart where the outline bends outwards or inwards.
-        p, q = p + 3.0 * along, q - 3.0 * along
-        corners = np.array([q + near * outwards, p + near * outwards, p + far * outwards, q + far * outwards])
+        p, q = start + 3.0 * along, start + (length - 3.0) * along
+        corners = np.array([q + near, p + near, p + far, q + far])
         found.append(Block(corners, a, outer=True))
     return found
 
@@ -225,20 +194,12 @@ def railway(plan: Plan, spacing: float) -> np.ndarray:
     low = plan.junctions.reshape(-1, 2).min(axis=0) - RAILWAY_DISTANCE
     high = plan.junctions.reshape(-1, 2).max(axis=0) + RAILWAY_DISTANCE
     radius = 95.0
-    centres = [
-        (high[0], low[1], -0.25),
-        (high[0], high[1], 0.0),
-        (low[0], high[1], 0.25),
-        (low[0], low[1], 0.5),
-    ]
+    (x0, y0), (x1, y1) = low + radius, high - radius
     points = []
-    for x, y, turn in centres:
-        cx = x - radius if x == high[0] else x + radius
-        cy = y - radius if y == high[1] else y + radius
+    for x, y, turn in ((x1, y0, -0.25), (x1, y1, 0.0), (x0, y1, 0.25), (x0, y0, 0.5)):
         angle = 2 * np.pi * np.linspace(turn, turn + 0.25, 40)
-        points.append(np.stack([cx + radius * np.cos(angle), cy + radius * np.sin(angle)], axis=1))
-    ring = np.concatenate([*points, points[0][:1]])
-    ring = resample(ring, 2.0)
+        points.append(np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle)], axis=1))
+    ring = resample(np.concatenate([*points, points[0][:1]]), 2.0)
     phase = np.random.default_rng([plan.seed, 2]).uniform(0, 2 * np.pi, 3)
     turn = np.linspace(0, 2 * np.pi, len(ring))
     tangent = np.gradient(ring, axis=0)

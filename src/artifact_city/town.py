@@ -5,68 +5,39 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import zoom
 
-from artifact_city.buildings import Building, as_records
+from artifact_city import grids
+from artifact_city.buildings import Building, as_records, historical
 from artifact_city.country import country_buildings
 from artifact_city.furnish import Furniture, furnish, park_paths
-from artifact_city.grids import (
-    BUILDING_CELL,
-    HEIGHT_CELL,
-    LAMP_CELL,
-    OPEN_CELL,
-    STREET_CELL,
-    Extent,
-    cast_shadows,
-    lamp_table,
-    polygon_table,
-    raise_buildings,
-    raise_trees,
-    sky_seen,
-    spread,
-    street_table,
-    zone_map,
-)
-from artifact_city.houses import historical
+from artifact_city.grids import HEIGHT_CELL, Extent
+from artifact_city.kernel import layout, record
 from artifact_city.lots import Site, Zone, build_sites, canal_walls
-from artifact_city.records import layout, record
 from artifact_city.streets import MARGIN, Plan, inset, make_plan, railway, street_pieces
 from artifact_city.trees import tree_shapes
 
 LAMP_REACH = 24.0  # metres
 
-WORLD = layout(west="f8", south="f8", seed="f8")
-LAMP = layout(x="f8", y="f8", z="f8", power="f8", tone="f8")
+WORLD = layout("west south seed")
+LAMP = layout("x y z power tone")
 
 
 class Scene(NamedTuple):
-    """Everything of a town that compiled code reads: records, and tables of what is near each cell of a grid.
+    """Everything of a town that compiled code reads: records, and tables of what is near each cell of a grid."""
 
-    Attributes
-    ----------
-    world : ndarray of WORLD, one record
-    streets, buildings, trees, lamps : ndarray of STREET_PIECE, PRISM, TREE, LAMP
-    street_table, building_table, lamp_table : ndarray, int32 (rows, columns, most)
-        Items near each cell, padded with -1.
-    zone : ndarray, uint8
-        Kind of yard, one cell per metre.
-    roof_height, crown_height : ndarray, float32
-        Heights of buildings and of crowns, two cells per metre.
-    openness : ndarray, float32
-        Share of the sky seen from the ground, a cell per two metres.
-    """
-
-    world: np.ndarray
-    streets: np.ndarray
-    buildings: np.ndarray
-    trees: np.ndarray
-    lamps: np.ndarray
-    street_table: np.ndarray
+    world: np.ndarray  # one record WORLD
+    streets: np.ndarray  # STREET_PIECE
+    buildings: np.ndarray  # PRISM
+    trees: np.ndarray  # TREE
+    lamps: np.ndarray  # LAMP
+    street_table: np.ndarray  # items near each cell, int32 (rows, columns, most), padded with -1
     building_table: np.ndarray
     lamp_table: np.ndarray
-    zone: np.ndarray
-    roof_height: np.ndarray
+    zone: np.ndarray  # kind of yard, uint8, one cell per metre
+    roof_height: np.ndarray  # of buildings, float32, two cells per metre
     crown_height: np.ndarray
-    openness: np.ndarray
+    openness: np.ndarray  # share of the sky seen from the ground, float32, a cell per two metres
 
 
 @dataclass(frozen=True)
@@ -90,14 +61,9 @@ def extent_of(plan: Plan) -> Extent:
 
 @lru_cache(maxsize=4)
 def make_town(seed: int, era: str = "today") -> Town:
-    """Build town ``seed`` as it is today or was in the past; about a second, kept for the last few towns.
+    """Build town ``seed`` as it is ``today`` or was in the ``past``; about a second, kept for the last few towns.
 
-    Parameters
-    ----------
-    seed : int
-        Which town; each has its own plan, houses and trees.
-    era : {"today", "past"}
-        In the past shops differ, the modern houses and some others are not yet built, and streets have older furniture.
+    In the past shops differ, the modern houses and some others are not yet built, and streets have older furniture.
     """
     plan = make_plan(seed)
     track = railway(plan, 6.0)
@@ -106,15 +72,16 @@ def make_town(seed: int, era: str = "today") -> Town:
     buildings = [b for site in sites for b in site.buildings] + canal_walls(plan) + country_buildings(plan, track)
     if era == "past":
         buildings = historical(np.random.default_rng([seed, 11]), buildings, share=0.06)
-    furniture = furnish(plan, sites, buildings, track, era)
-    scene = _scene(plan, street_pieces(plan, track, paths), as_records(buildings), sites, furniture)
+    prisms = as_records(buildings)
+    furniture = furnish(plan, sites, buildings, prisms, track, era)
+    scene = _scene(plan, street_pieces(plan, track, paths), prisms, sites, furniture)
     return Town(plan, track, tuple(sites), tuple(buildings), furniture, scene)
 
 
 def _scene(plan: Plan, streets: np.ndarray, buildings: np.ndarray, sites: list[Site], furniture: Furniture) -> Scene:
     extent = extent_of(plan)
     corner, shape = (extent.west, extent.south), extent.shape(HEIGHT_CELL)
-    roofs = raise_buildings(buildings, *corner, *shape)
+    roofs = grids.raise_buildings(buildings, *corner, *shape)
     shapes = tree_shapes()
     # Ground under a yard's edge may be asked for just outside its block, hence the outset.
     zones = [(inset(site.block.corners, (-1.0,) * 4), int(site.zone)) for site in sites]
@@ -124,13 +91,13 @@ def _scene(plan: Plan, streets: np.ndarray, buildings: np.ndarray, sites: list[S
         buildings=buildings,
         trees=furniture.trees,
         lamps=np.array([tuple(lamp) for lamp in furniture.lamps], dtype=LAMP),
-        street_table=street_table(streets, 2.0, extent, STREET_CELL),
-        building_table=polygon_table(buildings["corners"], extent, BUILDING_CELL),
-        lamp_table=lamp_table(furniture.lamps[:, :2], LAMP_REACH, extent, LAMP_CELL),
-        zone=zone_map(zones, extent),
+        street_table=grids.street_table(streets, 2.0, extent, grids.STREET_CELL),
+        building_table=grids.polygon_table(buildings["corners"], extent, grids.BUILDING_CELL),
+        lamp_table=grids.lamp_table(furniture.lamps[:, :2], LAMP_REACH, extent, grids.LAMP_CELL),
+        zone=grids.zone_map(zones, extent),
         roof_height=roofs,
-        crown_height=raise_trees(furniture.trees, shapes.shapes, shapes.blobs, *corner, *shape),
-        openness=sky_seen(roofs),
+        crown_height=grids.raise_trees(furniture.trees, shapes.shapes, shapes.blobs, *corner, *shape),
+        openness=grids.sky_seen(roofs),
     )
 
 
@@ -142,9 +109,10 @@ def shade_map(seed: int, era: str, azimuth: float, elevation: float) -> np.ndarr
     """
     scene = make_town(seed, era).scene
     shade = np.empty((*scene.roof_height.shape, 3), dtype=np.float32)
+    seen = zoom(scene.openness, round(grids.OPEN_CELL / HEIGHT_CELL), order=1, mode="nearest", grid_mode=True)
+    shade[..., 2] = seen[: shade.shape[0], : shade.shape[1]]
     for layer, heights in enumerate((scene.roof_height, scene.crown_height)):
         shadow = np.zeros_like(heights)
-        cast_shadows(heights, np.radians(azimuth), np.radians(elevation), shadow)
+        grids.cast_shadows(heights, np.radians(azimuth), np.radians(elevation), shadow)
         shade[..., layer] = shadow
-    spread(scene.openness, OPEN_CELL / HEIGHT_CELL, shade[..., 2])
     return shade

@@ -1,4 +1,4 @@
-"""A rendered traversal: its description, its poses, its frames."""
+"""A rendered traversal: its description, its path, its poses."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -6,8 +6,6 @@ from functools import lru_cache
 import numpy as np
 
 from artifact_city.conditions import CONDITIONS
-from artifact_city.frame import Mood, Traced, expose, light_of, near_things, shade, trace
-from artifact_city.models import N_CARS
 from artifact_city.routes import (
     PLACES,
     RAILWAY,
@@ -19,9 +17,8 @@ from artifact_city.routes import (
     railway_path,
     street_poses,
 )
-from artifact_city.town import Town, make_town
-from artifact_city.traffic import Crowd, moving, standing
-from artifact_city.view import CAMERAS, Camera, Pose
+from artifact_city.town import make_town
+from artifact_city.view import CAMERAS, Pose
 
 
 @dataclass(frozen=True)
@@ -43,8 +40,6 @@ class CityTraversal:
         Number of images.
     spacing : float
         Metres between images along the route; ignored for ``places``.
-    start : float
-        Metres along the route before the first image.
     seed : int
         What differs between two traversals with otherwise equal fields: deviations from the ideal path, exposure,
         cars, people, clouds, lit windows.
@@ -68,7 +63,6 @@ class CityTraversal:
     camera: str = "car"
     frames: int = 200
     spacing: float = 3.0
-    start: float = 0.0
     seed: int = 0
     wander: float = 1.0
     positions: str = "metres"
@@ -87,8 +81,8 @@ class CityTraversal:
                 raise ValueError(f"{name} must be a whole number of at least {low}, not {value!r}")
         if not self.spacing > 0 or not np.isfinite(self.spacing):
             raise ValueError(f"spacing must be a positive number of metres, not {self.spacing!r}")
-        if self.start < 0 or self.wander < 0:
-            raise ValueError(f"start and wander must not be negative, not {self.start!r} and {self.wander!r}")
+        if self.wander < 0:
+            raise ValueError(f"wander must not be negative, not {self.wander!r}")
         lateral = CAMERAS[self.camera].lateral
         if (self.route == RAILWAY) != (lateral == "track"):
             raise ValueError(
@@ -148,25 +142,19 @@ def poses(traversal: CityTraversal) -> tuple[tuple[Pose, ...], tuple[float, ...]
     else:
         path = path_of(traversal)
         phase = rng.uniform(0, 0.999) * traversal.spacing * (camera.lateral != "track")
-        travelled = traversal.start + phase + traversal.spacing * np.arange(n)
+        travelled = phase + traversal.spacing * np.arange(n)
         if travelled[-1] > path.length:
-            fit = int((path.length - traversal.start) / traversal.spacing)
+            fit = int(path.length / traversal.spacing)
             raise ValueError(
-                f"route {traversal.route!r} of town {traversal.town} is {path.length:.0f} m long: from "
-                f"{traversal.start:g} m at {traversal.spacing:g} m spacing it has room for {fit} frames, not {n}"
+                f"route {traversal.route!r} of town {traversal.town} is {path.length:.0f} m long: at "
+                f"{traversal.spacing:g} m spacing it has room for {fit} frames, not {n}"
             )
         ideal = [Pose(*path.at(s)[:3]) for s in travelled]
-    made = tuple(
-        Pose(
-            p.x + shift[k] * np.sin(p.heading),
-            p.y - shift[k] * np.cos(p.heading),
-            p.heading + sway[k],
-            pitch=pitch[k],
-            roll=roll[k],
-        )
-        for k, p in enumerate(ideal)
-    )
-    return made, tuple(float(s) for s in travelled)
+    made = []
+    for p, aside, turn, tip, lean in zip(ideal, shift, sway, pitch, roll, strict=True):
+        x, y = p.x + aside * np.sin(p.heading), p.y - aside * np.cos(p.heading)
+        made.append(Pose(x, y, p.heading + turn, pitch=tip, roll=lean))
+    return tuple(made), tuple(float(s) for s in travelled)
 
 
 def _snapshots(places: list[Pose], wander: float, rng: np.random.Generator) -> list[Pose]:
@@ -175,15 +163,11 @@ def _snapshots(places: list[Pose], wander: float, rng: np.random.Generator) -> l
     for p in places:
         along, across, turn, tip, roll, zoom, raised = rng.normal(0, wander, 7)
         dx, dy = 0.45 * np.clip(along, -2.5, 2.5), 0.45 * np.clip(across, -2.5, 2.5)
+        cos, sin = np.cos(p.heading), np.sin(p.heading)
+        x, y, heading = p.x + dx * cos + dy * sin, p.y + dx * sin - dy * cos, p.heading + np.radians(4.0) * turn
         found.append(
             Pose(
-                p.x + dx * np.cos(p.heading) + dy * np.sin(p.heading),
-                p.y + dx * np.sin(p.heading) - dy * np.cos(p.heading),
-                p.heading + np.radians(4.0) * turn,
-                pitch=np.radians(1.2) * tip,
-                roll=np.radians(0.7) * roll,
-                zoom=float(np.exp(0.08 * zoom)),
-                raised=0.15 * raised,
+                x, y, heading, np.radians(1.2) * tip, np.radians(0.7) * roll, float(np.exp(0.08 * zoom)), 0.15 * raised
             )
         )
     return found
@@ -200,75 +184,3 @@ def positions(traversal: CityTraversal) -> np.ndarray:
     if traversal.positions == "frames":
         return np.stack([np.arange(traversal.frames, dtype=np.float64), np.zeros(traversal.frames)], axis=1)
     return np.array([(p.x, p.y) for p in poses(traversal)[0]], dtype=np.float64)
-
-
-def _crowd(traversal: CityTraversal) -> Crowd:
-    condition = CONDITIONS[traversal.condition]
-    quiet = 0.45 if condition.dark or condition.rain else 0.75 if condition.snow else 1.0
-    past = condition.era == "past"
-    return Crowd(
-        parked=0.3,
-        people=0.13 * quiet,
-        moving=0.0 if past else 2.0 * quiet,
-        lights=bool(condition.dark or condition.rain or condition.snow),
-        past=past,
-    )
-
-
-@lru_cache(maxsize=4)
-def _standing(traversal: CityTraversal) -> np.ndarray:
-    furniture = _town(traversal).furniture
-    met = standing(furniture.parking, furniture.pavements, _crowd(traversal), traversal.seed)
-    return np.concatenate([furniture.things, met])
-
-
-def _town(traversal: CityTraversal) -> Town:
-    return make_town(traversal.town, CONDITIONS[traversal.condition].era)
-
-
-def _light(traversal: CityTraversal) -> np.ndarray:
-    beams = CAMERAS[traversal.camera].lateral == "lane"
-    return light_of(traversal.condition, traversal.town * 1000 + traversal.seed, beams)
-
-
-def trace_frame(traversal: CityTraversal, index: int) -> Traced:
-    """Trace one frame: what each of its samples sees, and how far away."""
-    if not 0 <= index < traversal.frames:
-        raise IndexError(f"frame {index} of a traversal of {traversal.frames} frames (they count from 0)")
-    made, travelled = poses(traversal)
-    pose = made[index]
-    things = near_things(_standing(traversal), pose)
-    path = path_of(traversal)
-    camera: Camera = CAMERAS[traversal.camera]
-    # A car that stands where the camera drives would hide everything: it has moved on. A photographer waits longer.
-    room = 6.5 if camera.lateral == "free" else 2.6
-    low = (things["z"] < 1.0) & (things["model"] <= N_CARS)
-    things = things[(np.hypot(things["x"] - pose.x, things["y"] - pose.y) > room) | ~low]
-    if path is not None and camera.lateral == "lane":
-        things = np.concatenate([things, moving(path, travelled[index], _crowd(traversal), traversal.seed)])
-    return trace(_town(traversal), camera, pose, _light(traversal), things)
-
-
-def render_frame(traversal: CityTraversal, index: int) -> np.ndarray:
-    """Render one image of a traversal.
-
-    The result depends on the traversal and the index only, not on what was rendered before or in which thread.
-
-    Returns
-    -------
-    ndarray, uint8 (240, 320, 3)
-        sRGB.
-    """
-    condition = CONDITIONS[traversal.condition]
-    traced = trace_frame(traversal, index)
-    image = shade(_town(traversal), condition, _light(traversal), traced)
-    whole = np.random.default_rng([traversal.town, traversal.seed, 41])
-    drift = np.sin(index * 0.11 + whole.uniform(0, 6)) + np.sin(index * 0.043 + whole.uniform(0, 6))
-    gain = float(np.exp(whole.normal(0, 0.06) + 0.05 * drift))
-    mood = Mood(gain, float(np.exp(whole.normal(0, 0.02))), traversal.seed * 100_003 + index)
-    return expose(image, condition, CAMERAS[traversal.camera], mood)
-
-
-def compile_all() -> None:
-    """Compile every inner loop and keep the machine code on disk, by rendering one frame; about a minute."""
-    render_frame(CityTraversal(town=1, route="A2-D2", condition="rain", frames=1), 0)

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from artifact_city.kernel import kernel
-from artifact_city.records import layout, record
+from artifact_city.kernel import kernel, layout, record
 
 WIDTH, HEIGHT = 320, 240  # pixels of every image
 SAMPLES = 2  # samples per pixel along each axis
@@ -13,31 +12,15 @@ SAMPLES = 2  # samples per pixel along each axis
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera and how it is carried.
+    """A camera and how it is carried."""
 
-    Attributes
-    ----------
-    height : float
-        Metres above the ground.
-    field_of_view : float
-        Horizontal, degrees.
-    horizon : float
-        Where the horizon lies, as a share of the image height from the top.
-    lateral : {"lane", "pavement", "track", "free"}
-        Where it goes: in its lane, on the pavement, on the track, or anywhere.
-    panorama : bool
-        Columns are equally spaced in angle, as in a crop from a stitched panorama.
-    wander, sway : float
-        Typical slow deviation from the ideal path (metres) and from its heading (degrees).
-    """
-
-    height: float
-    field_of_view: float
-    horizon: float = 0.52
-    lateral: str = "lane"
-    panorama: bool = False
-    wander: float = 0.0
-    sway: float = 0.0
+    height: float  # metres above the ground
+    field_of_view: float  # horizontal, degrees
+    horizon: float  # where it lies, as a share of the image height from the top
+    lateral: str  # where it goes: in its "lane", on the "pavement", on the "track", or "free"
+    panorama: bool = False  # columns are equally spaced in angle, as in a crop from a stitched panorama
+    wander: float = 0.0  # typical slow deviation from the ideal path, metres
+    sway: float = 0.0  # and from its heading, degrees
 
 
 CAMERAS = {
@@ -50,23 +33,9 @@ CAMERAS = {
 }
 
 
-# One pose of one camera, as compiled code reads it. Columns and rows count samples, not pixels.
-VIEW = layout(
-    x="f8",
-    y="f8",
-    z="f8",
-    forward_x="f8",
-    forward_y="f8",
-    right_x="f8",
-    right_y="f8",
-    focal="f8",  # samples
-    centre="f8",  # column of the optical axis
-    horizon="f8",  # row of the horizon there
-    roll="f8",  # rows of horizon per column
-    panorama="i8",
-    columns="i8",
-    rows="i8",
-)
+# One pose of one camera as compiled code reads it. Columns and rows count samples, not pixels; ``centre`` is the column of
+# the optical axis, ``horizon`` its row of the horizon, ``roll`` rows of horizon per column.
+VIEW = layout("x y z forward_x forward_y right_x right_y focal centre horizon roll panorama:i columns:i rows:i")
 
 
 @dataclass(frozen=True)
@@ -90,25 +59,10 @@ def make_view(camera: Camera, pose: Pose) -> np.ndarray:
     columns, rows = WIDTH * SAMPLES, HEIGHT * SAMPLES
     half = np.radians(camera.field_of_view) / 2
     focal = pose.zoom * (columns / 2) / (half if camera.panorama else np.tan(half))
-    return record(
-        VIEW,
-        {
-            "x": pose.x,
-            "y": pose.y,
-            "z": camera.height + pose.raised,
-            "forward_x": np.cos(pose.heading),
-            "forward_y": np.sin(pose.heading),
-            "right_x": np.sin(pose.heading),
-            "right_y": -np.cos(pose.heading),
-            "focal": focal,
-            "centre": columns / 2,
-            "horizon": camera.horizon * rows + focal * np.tan(pose.pitch),
-            "roll": np.tan(pose.roll),
-            "panorama": camera.panorama,
-            "columns": columns,
-            "rows": rows,
-        },
-    )
+    cos, sin, z = np.cos(pose.heading), np.sin(pose.heading), camera.height + pose.raised
+    horizon, roll = camera.horizon * rows + focal * np.tan(pose.pitch), np.tan(pose.roll)
+    values = pose.x, pose.y, z, cos, sin, sin, -cos, focal, columns / 2, horizon, roll, camera.panorama, columns, rows
+    return record(VIEW, dict(zip(VIEW.names, values, strict=True)))
 
 
 @kernel

@@ -14,7 +14,7 @@ DRIVE = artifact_city.CityTraversal(
 )
 
 
-PLACE = 21  # a frame of DRIVE in the middle of a street, with facades on both sides
+PLACE = 35  # a frame of DRIVE in the middle of a street, with facades on both sides
 
 
 SEEDS = st.integers(0, 2**31)

@@ -6,32 +6,32 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import artifact_city
-from artifact_city import noise, traversal, view
-from artifact_city.grids import cast_shadows, roof_at
+from artifact_city import noise, rendering, view
+from artifact_city.buildings import roof_at
+from artifact_city.grids import cast_shadows
 from artifact_city.trace import BUILDING, GROUND, LEAF, SKY
 from city.helpers import DRIVE, PLACE
 
 
 def test_traced_depths_are_where_rays_first_meet_the_town():
     """March along rays: above the roofs until just before the traced depth, and inside a building just behind it."""
-    traced = traversal.trace_frame(DRIVE, PLACE)
-    camera, scene = traced.view[0], traversal._town(DRIVE).scene
+    traced = rendering.trace_frame(DRIVE, PLACE)
+    camera, scene = traced.view[0], rendering.town_of(DRIVE).scene
     rng = np.random.default_rng(3)
     checked = {"ground": 0, "wall": 0, "roof": 0, "sky": 0}
     for column, row in zip(rng.integers(0, 640, 400), rng.integers(0, 480, 400), strict=True):
         code, depth = int(traced.surface[column, row]), float(traced.depth[column, row])
         ray = np.array(view.ray_of(camera, column + 0.5))
         slope = (view.horizon_at(camera, column + 0.5) - row - 0.5) / camera["focal"]
-        number, side = (code - BUILDING) >> 4, (code - BUILDING) & 15
-        if code >= LEAF or (code >= BUILDING and side == 0 and scene.buildings["gable"][number]):
-            continue  # leaves and things have their own tracer; ornamental gables stand above the roof
+        side = (code - BUILDING) & 15
+        if code >= LEAF:
+            continue  # leaves and things have their own tracer
 
         def inside(t, ray=ray, slope=slope):
             x, y = camera["x"] + t * ray[0], camera["y"] + t * ray[1]
             z = camera["z"] + t * slope
             within = (scene.buildings["normal"] @ (x, y) < scene.buildings["offset"] - 1e-6).all(axis=1)
-            plain = within & (scene.buildings["gable"] == 0)
-            return any(roof_at(scene.buildings[b], x, y) > z + 1e-6 for b in np.flatnonzero(plain))
+            return any(roof_at(scene.buildings[b], x, y) > z + 1e-6 for b in np.flatnonzero(within))
 
         reach = min(depth, 60.0)
         for t in rng.uniform(0.05, 1.0, 8) * reach * 0.999:
@@ -41,7 +41,7 @@ def test_traced_depths_are_where_rays_first_meet_the_town():
             checked["ground"] += 1
         elif code == SKY:
             checked["sky"] += 1
-        elif scene.buildings["gable"][number] == 0:
+        else:
             assert inside(depth + 0.02)
             checked["wall" if side < 4 else "roof"] += 1
     assert min(checked["ground"], checked["wall"], checked["sky"]) > 10

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from artifact_city import records
+from artifact_city import kernel
 from artifact_city.palette import SIGN, choose
 from artifact_city.routes import drive_path, junctions_of
 from artifact_city.streets import blocks, make_plan, railway
@@ -51,7 +51,7 @@ def test_trees_and_lamps_stand_outside_houses(town):
 
 def test_records_need_exactly_their_fields():
     with pytest.raises(ValueError, match=r"fields \['a'\] given for a record of \['b'\]"):
-        records.record(records.layout(b="f8"), {"a": 1.0})
+        kernel.record(kernel.layout("b"), {"a": 1.0})
 
 
 @given(SEEDS)
