@@ -31,7 +31,7 @@ from artifact.pages.scope import open_page
 from artifact.studies import protocol
 
 page = open_page(profile, datasets=datasets, methods=methods, k=k, seed=seed)
-pages.protocol.protocol_table(protocol.DECISIONS)
+pages.protocol.protocol_table(protocol.decisions())
 
 # %% [markdown]
 # ## What the open choices change

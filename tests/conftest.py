@@ -15,13 +15,23 @@ from PIL import Image
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 THUMBNAIL = {
-    "title": "Thumbnail", "kind": "baseline", "backbone": "–", "aggregation": "thumbnail", "dimension": 512, "batch_size": 4,
+    "title": "Thumbnail",
+    "kind": "baseline",
+    "backbone": "–",
+    "aggregation": "thumbnail",
+    "dimension": 512,
+    "batch_size": 4,
     "preprocessing": {"resize": "fixed", "size": [16, 32], "colour": "grey", "mean": [0.0], "std": [1.0]},
-}  # fmt: skip
+}
 HOG = {
-    "title": "HOG", "kind": "baseline", "backbone": "–", "aggregation": "HOG", "dimension": 108, "batch_size": 5,
+    "title": "HOG",
+    "kind": "baseline",
+    "backbone": "–",
+    "aggregation": "HOG",
+    "dimension": 108,
+    "batch_size": 5,
     "preprocessing": {"resize": "fixed", "size": [32, 64], "colour": "grey", "mean": [0.0], "std": [1.0]},
-}  # fmt: skip
+}
 
 
 def write_images(folder, n, seed, *, brightness=0.0, noise=12.0, suffix=".png"):
@@ -45,13 +55,19 @@ def _tiny_manifest(datasets):
         "datasets": datasets
         or {
             "street": {
-                "title": "Street", "kind": "folder", "threshold": {"value": 1, "unit": "frames"}, "query": "day", "database": "night",
+                "title": "Street",
+                "kind": "folder",
+                "threshold": {"value": 1, "unit": "frames"},
+                "query": "day",
+                "database": "night",
                 "traversals": {"day": {"condition": "day"}, "night": {"condition": "night"}},
             }
         },
         "methods": {"thumbnail": THUMBNAIL, "hog": HOG},
-        "profiles": {"demo": {"description": "tiny", "datasets": list(datasets or ["street"]), "methods": ["thumbnail", "hog"]}},
-    }  # fmt: skip
+        "profiles": {
+            "demo": {"description": "tiny", "datasets": list(datasets or ["street"]), "methods": ["thumbnail", "hog"]}
+        },
+    }
 
 
 def write_manifest(folder, content):
@@ -92,17 +108,30 @@ def pytest_collection_modifyitems(items):
 
 
 DRIVE = {
-    "title": "Drive", "kind": "folder", "threshold": {"value": 25, "unit": "metres"}, "query": "day", "database": "night",
-    "shift": "day→night", "distractor_traversals": ["dusk", "night_2"], "same_condition_traversal": "dusk",
+    "title": "Drive",
+    "kind": "folder",
+    "threshold": {"value": 25, "unit": "metres"},
+    "query": "day",
+    "database": "night",
+    "shift": "day→night",
+    "distractor_traversals": ["dusk", "night_2"],
+    "same_condition_traversal": "dusk",
     "irrelevant_pairs": [["day", "dusk"]],
     "traversals": {
-        "day": {"condition": "day"}, "night": {"condition": "night"}, "dusk": {"condition": "dusk"}, "night_2": {"condition": "night"},
+        "day": {"condition": "day"},
+        "night": {"condition": "night"},
+        "dusk": {"condition": "dusk"},
+        "night_2": {"condition": "night"},
     },
-}  # fmt: skip
+}
 STREET = {
-    "title": "Street", "kind": "folder", "threshold": {"value": 1, "unit": "frames"}, "query": "day", "database": "night",
+    "title": "Street",
+    "kind": "folder",
+    "threshold": {"value": 1, "unit": "frames"},
+    "query": "day",
+    "database": "night",
     "traversals": {"day": {"condition": "day"}, "night": {"condition": "night"}},
-}  # fmt: skip
+}
 
 
 def artifact(project, *arguments):

@@ -70,8 +70,19 @@ def main():
                 limits = [f"{limit:g}" if limit is not None else "" for limit in (limit_abs, limit_l2)]
                 size = f"{METHODS[name].size}x{METHODS[name].size}"
                 machine = f"{platform.system()} {platform.machine()}"
-                rows.append([name, output, f"2 of {size}", count, f"{largest:.2e}", f"{length:.2e}", *limits,
-                             torch.__version__.split("+")[0], machine])  # fmt: skip
+                rows.append(
+                    [
+                        name,
+                        output,
+                        f"2 of {size}",
+                        count,
+                        f"{largest:.2e}",
+                        f"{length:.2e}",
+                        *limits,
+                        torch.__version__.split("+")[0],
+                        machine,
+                    ]
+                )
                 print(*rows[-1])  # noqa: T201
     with store.replacing(TARGET) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")

@@ -20,7 +20,7 @@ def _traversal(name, positions, folder=None):
 
 def described(
     n=120, d=64, *, push=2.0, noise=0.35, extra=("dusk",), seed=0, spacing=10.0, threshold=15.0, name="made", turn=0
-):  # fmt: skip
+):
     """Two drives past the same places; day and night differ by `push` along one direction, `turn` chooses which."""
     rng = np.random.default_rng(seed)
     positions = np.column_stack([np.arange(n) * spacing, 20 * np.sin(np.arange(n) / 9)])
@@ -57,9 +57,13 @@ def manifest(folder, *datasets):
             irrelevant_pairs=[["day", "dusk"]] if "dusk" in names else [],
         )
     method = MethodEntry(
-        title="Coded", kind="baseline", backbone="–", aggregation="–", dimension=64,
+        title="Coded",
+        kind="baseline",
+        backbone="–",
+        aggregation="–",
+        dimension=64,
         preprocessing={"resize": "fixed", "size": [8, 8]},
-    )  # fmt: skip
+    )
     return Manifest(folder / "data_manifest.yaml", folder, entries, {METHOD: method}, {})
 
 

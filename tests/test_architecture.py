@@ -7,9 +7,19 @@ import pytest
 
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 STAGES = (
-    "manifest", "store", "datasets", "methods", "extraction", "suppression", "ranking", "metrics", "studies", "pages", "book",
+    "manifest",
+    "store",
+    "datasets",
+    "methods",
+    "extraction",
+    "suppression",
+    "ranking",
+    "metrics",
+    "studies",
+    "pages",
+    "book",
     "commands",
-)  # fmt: skip
+)
 MODULES = {
     ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__"): path
     for path in sorted(SOURCE.rglob("*.py"))
@@ -77,3 +87,9 @@ def test_the_town_imports_nothing_of_the_library():
         for other in IMPORTS[module]
         if other.split(".")[0] == "artifact"
     ]
+
+
+def test_the_formatter_decides_everywhere():
+    mark = "# fmt" + ": "
+    files = [path for part in ("src", "tests", "notebooks", "book") for path in (REPOSITORY / part).rglob("*.py")]
+    assert [str(path) for path in files if mark in path.read_text(encoding="utf-8")] == []

@@ -13,9 +13,13 @@ from artifact.manifest.entries import ManifestError
 
 def street(threshold, **traversals):
     return {
-        "title": "Street", "kind": "folder", "threshold": threshold, "query": "day", "database": "night",
+        "title": "Street",
+        "kind": "folder",
+        "threshold": threshold,
+        "query": "day",
+        "database": "night",
         "traversals": {"day": {"condition": "day"}, "night": {"condition": "night"}} | traversals,
-    }  # fmt: skip
+    }
 
 
 METRES = {"value": 25, "unit": "metres"}
@@ -56,14 +60,26 @@ def test_three_axes_and_a_byte_order_mark(with_csv):
     ("rows", "header", "message"),
     [
         (["frame0.png,0,0"], "picture,x,y", r"positions.csv:1: the header is 'picture,x,y'; allowed: 'image,x,y'"),
-        (["frame0.png,0,0", "frame0.png,1,1"], "image,x,y", r"positions.csv:3: a second row for the image 'frame0.png'"),
+        (
+            ["frame0.png,0,0", "frame0.png,1,1"],
+            "image,x,y",
+            r"positions.csv:3: a second row for the image 'frame0.png'",
+        ),
         (["frame0.png,0"], "image,x,y", r"positions.csv:2: 2 fields where the header has 3"),
         (["frame0.png,0,north"], "image,x,y", r"positions.csv:2: found '0,north'; positions must be numbers"),
         (["frame0.png,0,0"], "image,x,y", r"no row for 2 of 3 images, first 'frame1.png'"),
-        (["frame0.png,0,0", "frame1.png,nan,0", "frame2.png,0,0"], "image,x,y", r"position of 'frame1.png' is not a finite number"),
-        (["frame0.png,0", "frame1.png,1", "frame2.png,2"], "image,index", "threshold is in metres but the positions are in frames"),
+        (
+            ["frame0.png,0,0", "frame1.png,nan,0", "frame2.png,0,0"],
+            "image,x,y",
+            r"position of 'frame1.png' is not a finite number",
+        ),
+        (
+            ["frame0.png,0", "frame1.png,1", "frame2.png,2"],
+            "image,index",
+            "threshold is in metres but the positions are in frames",
+        ),
     ],
-)  # fmt: skip
+)
 def test_bad_csv_is_named_with_its_line(with_csv, rows, header, message):
     with pytest.raises(DatasetError, match=message):
         datasets.load(with_csv(rows, header), "street")
@@ -233,10 +249,14 @@ def test_gardens_point_images_are_the_shipped_ones():
 
 def test_gardens_point_without_images_is_known_from_the_shipped_record(tmp_path):
     entry = {
-        "title": "Gardens Point", "kind": "folder", "root": "gardens_point", "threshold": {"value": 2, "unit": "frames"},
-        "query": "day_right", "database": "night_right",
+        "title": "Gardens Point",
+        "kind": "folder",
+        "root": "gardens_point",
+        "threshold": {"value": 2, "unit": "frames"},
+        "query": "day_right",
+        "database": "night_right",
         "traversals": {"day_right": {"condition": "day"}, "night_right": {"condition": "night"}},
-    }  # fmt: skip
+    }
     content = tiny_manifest(gardens_point=entry)
     content["methods"]["thumbnail"] = THUMBNAIL
     loaded = datasets.load(manifest.load(write_manifest(tmp_path, content)), "gardens_point")

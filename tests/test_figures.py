@@ -80,9 +80,14 @@ def frames(tmp_path, n, unit="frames"):
     for name, brightness in parts.items():
         write_images(tmp_path / "data" / "street" / name, n, seed=6, brightness=brightness, noise=25)
     street = {
-        "title": "Street", "kind": "folder", "threshold": {"value": float(unit == "frames"), "unit": unit}, "query": "day",
-        "database": "night", "same_condition_traversal": "day_2", "traversals": {name: {"condition": name} for name in parts},
-    }  # fmt: skip
+        "title": "Street",
+        "kind": "folder",
+        "threshold": {"value": float(unit == "frames"), "unit": unit},
+        "query": "day",
+        "database": "night",
+        "same_condition_traversal": "day_2",
+        "traversals": {name: {"condition": name} for name in parts},
+    }
     return manifest.load(write_manifest(tmp_path, tiny_manifest(street=street)))
 
 

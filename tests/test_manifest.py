@@ -26,7 +26,11 @@ STREET = ("datasets", "street")
 @pytest.mark.parametrize(
     ("path", "value", "messages"),
     [
-        ((*STREET, "threshold", "unit"), "meters", ["datasets.street.threshold.unit", "found 'meters'", "'metres', 'frames' or 'pairs'"]),
+        (
+            (*STREET, "threshold", "unit"),
+            "meters",
+            ["datasets.street.threshold.unit", "found 'meters'", "'metres', 'frames' or 'pairs'"],
+        ),
         ((*STREET, "threshold", "value"), "25 m", ["datasets.street.threshold.value", "found '25 m'", "number"]),
         ((*STREET, "threshold", "value"), -1, ["threshold.value", "found -1", "greater than or equal to 0"]),
         ((*STREET, "treshold"), 3, ["datasets.street.treshold", "unknown key", "'threshold'"]),
@@ -45,7 +49,7 @@ STREET = ("datasets", "street")
         (("version",), 2, ["version", "found 2"]),
         (("dataset",), {}, ["dataset: unknown key", "'datasets'"]),
     ],
-)  # fmt: skip
+)
 def test_faults_name_line_key_value_and_what_is_allowed(tmp_path, path, value, messages):
     file = write_manifest(tmp_path, changed(path, value))
     with pytest.raises(ManifestError) as caught:
@@ -118,8 +122,13 @@ def test_the_shipped_manifest_is_the_papers():
     for row in reported.table("tab02").to_dict("records"):
         entry = loaded.method(row["method"])
         assert (entry.title, entry.backbone, entry.aggregation, entry.dimension, entry.train_data, entry.kind) == (
-            row["title"], row["backbone"], row["aggregation"], row["dimension"], row["train_data"], "paper",
-        )  # fmt: skip
+            row["title"],
+            row["backbone"],
+            row["aggregation"],
+            row["dimension"],
+            row["train_data"],
+            "paper",
+        )
         assert (f"top {entry.rerank}" if entry.rerank else "–") == row["rerank"]
     entries = {
         entry.reported_as: entry for name in loaded.profile("paper").datasets for entry in [loaded.dataset(name)]

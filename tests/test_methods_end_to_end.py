@@ -44,15 +44,21 @@ def project_of(images, name):
     entry = HERE.methods[name].model_dump(exclude_unset=True, exclude={"weights"})
     entry["builder"] = f"artifact.methods.{BUILDERS.get(name, f'{name}:{name}')}"
     content = {
-        "version": 1, "data_root": "data", "methods": {name: entry},
+        "version": 1,
+        "data_root": "data",
+        "methods": {name: entry},
         "datasets": {
             "places": {
-                "title": "Places", "kind": "folder", "threshold": {"value": 0, "unit": "pairs"}, "query": "day",
-                "database": "night", "traversals": {part: {"condition": part} for part in ("day", "night")},
+                "title": "Places",
+                "kind": "folder",
+                "threshold": {"value": 0, "unit": "pairs"},
+                "query": "day",
+                "database": "night",
+                "traversals": {part: {"condition": part} for part in ("day", "night")},
             }
         },
         "profiles": {"demo": {"description": "one method", "datasets": ["places"], "methods": [name]}},
-    }  # fmt: skip
+    }
     return manifests.load(write_manifest(images.parents[1], content))
 
 

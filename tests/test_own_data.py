@@ -176,9 +176,18 @@ def files(tmp_path, monkeypatch):
 
 
 FILES = (
-    "evaluate", "--queries", "q.npy", "--database", "d.npy", "--query-positions", "q.csv", "--database-positions", "d.csv",
-    "--threshold", "25",
-)  # fmt: skip
+    "evaluate",
+    "--queries",
+    "q.npy",
+    "--database",
+    "d.npy",
+    "--query-positions",
+    "q.csv",
+    "--database-positions",
+    "d.csv",
+    "--threshold",
+    "25",
+)
 
 
 def printed(capsys, *arguments):
@@ -293,9 +302,13 @@ def save(name, values):
         ({"q.csv": "nowhere.csv"}, "nowhere.csv: no such file", None),
         ({"25": "2frames"}, "the threshold is in frames, the positions are in metres", None),
         ({"25": "-3"}, "the threshold is '-3'", None),
-        ({"q.csv": "far.csv"}, "nothing can be evaluated", write_text("far.csv", "image,x,y\n" + "\n".join(f"{i},{i},9999" for i in range(60)))),
+        (
+            {"q.csv": "far.csv"},
+            "nothing can be evaluated",
+            write_text("far.csv", "image,x,y\n" + "\n".join(f"{i},{i},9999" for i in range(60))),
+        ),
     ],
-)  # fmt: skip
+)
 def test_unusable_files_are_one_line(files, capsys, change, message, prepare):
     if prepare:
         prepare(files)
@@ -459,9 +472,14 @@ def test_frames_of_which_some_are_missing_are_remarked_and_paired_by_name(pair):
         "frames are paired by their order though names differ: frame2 with frame1, frame3 with frame2"
     )
     description = {
-        "title": "Town", "kind": "folder", "threshold": {"value": 0, "unit": "frames"}, "query": "queries",
-        "database": "database", "by_name": True, "traversals": {p: {"condition": p} for p in ("queries", "database")},
-    }  # fmt: skip
+        "title": "Town",
+        "kind": "folder",
+        "threshold": {"value": 0, "unit": "frames"},
+        "query": "queries",
+        "database": "database",
+        "by_name": True,
+        "traversals": {p: {"condition": p} for p in ("queries", "database")},
+    }
     (town / "dataset.yaml").write_text(yaml.safe_dump(description))
     loaded, remarks = load()
     assert remarks == []

@@ -27,9 +27,22 @@ def test_keys_tell_values_types_orders_and_arrays_apart():
         k: int
 
     different = [
-        {"a": 1}, {"a": 2}, {"a": "1"}, {"a": [1]}, {"b": 1}, {"a": True}, {"a": None}, {"a": [1, 2]}, {"a": [2, 1]},
-        {"a": np.zeros(3)}, {"a": np.zeros(3, np.float32)}, {"a": np.zeros((3, 1))}, {"a": np.array([0, 0, 1.0])}, {"a": Options(1)}, {"a": Options(2)},
-    ]  # fmt: skip
+        {"a": 1},
+        {"a": 2},
+        {"a": "1"},
+        {"a": [1]},
+        {"b": 1},
+        {"a": True},
+        {"a": None},
+        {"a": [1, 2]},
+        {"a": [2, 1]},
+        {"a": np.zeros(3)},
+        {"a": np.zeros(3, np.float32)},
+        {"a": np.zeros((3, 1))},
+        {"a": np.array([0, 0, 1.0])},
+        {"a": Options(1)},
+        {"a": Options(2)},
+    ]
     assert len({store.key(**inputs) for inputs in different}) == len(different)
     assert store.key(a=np.arange(6.0)[::2]) == store.key(a=np.array([0.0, 2, 4]))
     with pytest.raises(TypeError, match="cannot make a content key from object"):

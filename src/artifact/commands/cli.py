@@ -45,9 +45,16 @@ def _user_errors() -> tuple[type[Exception], ...]:
     from artifact.store import StoreError
 
     return (
-        BookError, DatasetError, ExtractionError, ManifestError, ParameterError, NotebookError, StoreError,
-        WeightsError, FileNotFoundError,
-    )  # fmt: skip
+        BookError,
+        DatasetError,
+        ExtractionError,
+        ManifestError,
+        ParameterError,
+        NotebookError,
+        StoreError,
+        WeightsError,
+        FileNotFoundError,
+    )
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -73,8 +80,14 @@ def _parser() -> argparse.ArgumentParser:
             metavar="NOTEBOOK",
             help="run only these, for example: tab03 fig05",
         )
-        sub.add_argument("-p", "--parameter", action="append", default=[], metavar="[NOTEBOOK.]NAME=VALUE",
-                         help="set a notebook parameter, for one notebook or for all that have it; VALUE is YAML")  # fmt: skip
+        sub.add_argument(
+            "-p",
+            "--parameter",
+            action="append",
+            default=[],
+            metavar="[NOTEBOOK.]NAME=VALUE",
+            help="set a notebook parameter, for one notebook or for all that have it; VALUE is YAML",
+        )
         sub.add_argument(
             "--set", default="", metavar="TEXT", help="several such parameters, with spaces between, as make SET='…'"
         )

@@ -131,10 +131,13 @@ class TwoStageEvaluation(Evaluation):
         """Flatten into named arrays, for storage; sweeps are not among them."""
         named = {
             "numbers": np.array([self.ranking.n_listed, self.ranking.n_database, self.candidates]),
-            "evaluated": self.ranking.evaluated, "threshold": np.array(self.threshold), "pools": np.array(self.pools),
-            "query_positions": self.query_positions, "database_positions": self.database_positions,
+            "evaluated": self.ranking.evaluated,
+            "threshold": np.array(self.threshold),
+            "pools": np.array(self.pools),
+            "query_positions": self.query_positions,
+            "database_positions": self.database_positions,
             "database_ranks": self.database_ranks,
-        }  # fmt: skip
+        }
         for number, name in enumerate(["", *self.pools]):
             named[f"indices_{number}"], named[f"scores_{number}"] = self.lists[name]
             if name:
@@ -257,9 +260,7 @@ def _rank(entries: Entries, n: int, ties: Ties) -> int:
     return rank_of_best(entries.kind[:n], entries.second[:n], False) or n + 1
 
 
-def _fill_list(
-    target: tuple[np.ndarray, np.ndarray], query: int, entries: Entries, n: int, n_database: int
-) -> None:  # fmt: skip
+def _fill_list(target: tuple[np.ndarray, np.ndarray], query: int, entries: Entries, n: int, n_database: int) -> None:
     order = np.argsort(-entries.second[:n], kind="stable")[: target[0].shape[1]]
     shift = np.where(entries.kind[order] == DISTRACTOR, n_database, 0)
     target[0][query, : len(order)] = entries.index[order] + shift

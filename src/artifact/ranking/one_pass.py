@@ -251,7 +251,7 @@ class _Pass:
 
 def factors_of(
     images: ImageSet, transforms: Mapping[str, LowRank | None], similarity: Similarity
-) -> dict[str, Factors]:  # fmt: skip
+) -> dict[str, Factors]:
     """Project an image set once for all views; norms turn dot products into the chosen similarity.
 
     With ``a = right.T x - offset``, ``u = left.T x`` and ``G = left.T left``, the transformed dot product is

@@ -17,8 +17,18 @@ from artifact.methods import parity, weights
 from artifact.studies.common import PERCENT, Study
 
 COLUMNS = [
-    "method", "title", "parameters", "dimension", "seconds", "timed", "code_licence", "weights", "weights_licence", "terms", "how",
-]  # fmt: skip
+    "method",
+    "title",
+    "parameters",
+    "dimension",
+    "seconds",
+    "timed",
+    "code_licence",
+    "weights",
+    "weights_licence",
+    "terms",
+    "how",
+]
 
 
 def methods_of_the_paper(manifest: Manifest) -> pd.DataFrame:

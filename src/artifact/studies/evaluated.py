@@ -98,19 +98,27 @@ def evaluation(
     loaded = described.dataset
     options = {"retrieve": retrieve, "seed": seed, "similarity": similarity, "draws": draws}
     key = store.key(
-        stage="ranking", revision=one_pass.REVISION, inputs=described.key_inputs(), options=options,
-        pools=names, pool_size=pool_size,
-    )  # fmt: skip
+        stage="ranking",
+        revision=one_pass.REVISION,
+        inputs=described.key_inputs(),
+        options=options,
+        pools=names,
+        pool_size=pool_size,
+    )
 
     def compute() -> dict[str, Evaluation]:
         chosen = {name: _pool_rows(loaded, name, pool_size, seed) for name in names}
         result = evaluate(
-            described.query.values, described.database.values, loaded.query.positions, loaded.database.positions,
+            described.query.values,
+            described.database.values,
+            loaded.query.positions,
+            loaded.database.positions,
             loaded.threshold,
             {name: described.descriptors[name].values[rows] for name, rows in chosen.items()} or None,
             {name: loaded.traversals[name].positions[rows] for name, rows in chosen.items()} or None,
-            device=device, **options,
-        )  # fmt: skip
+            device=device,
+            **options,
+        )
         return {"evaluation": result}
 
     result = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "ranking"})
@@ -136,9 +144,16 @@ def _pool_rows(dataset: Dataset, name: str, size: int | None, seed: int) -> np.n
 
 
 def _two_stage(
-    manifest: Manifest, dataset: str, method: str, names: list[str], pool_size: int | None, retrieve: int, most_draws: int,
-    seed: int,     device: Any,
-) -> Measured:  # fmt: skip
+    manifest: Manifest,
+    dataset: str,
+    method: str,
+    names: list[str],
+    pool_size: int | None,
+    retrieve: int,
+    most_draws: int,
+    seed: int,
+    device: Any,
+) -> Measured:
     entry = manifest.method(method)
     if entry.local_features is None and entry.code_bits is None:
         raise ManifestError(
@@ -149,10 +164,14 @@ def _two_stage(
     extract.check_disk(manifest, loaded.traversals.values(), [method])
     described = describe(manifest, dataset, method, names, device=device)
     shared = {
-        "revision": two_stage.REVISION, "inputs": described.key_inputs(), "candidates": entry.rerank, "seed": seed,
+        "revision": two_stage.REVISION,
+        "inputs": described.key_inputs(),
+        "candidates": entry.rerank,
+        "seed": seed,
         "second": {name: extract.second_stage_key(t, method, entry) for name, t in loaded.traversals.items()},
-        "pools": names, "pool_size": pool_size,
-    }  # fmt: skip
+        "pools": names,
+        "pool_size": pool_size,
+    }
     record = {"dataset": dataset, "method": method}
     draws = most_draws if entry.local_features is None else min(most_draws, _MOST_DRAWS_BY_LOCAL_FEATURES)
     scores = matching.cosines if entry.local_features is None else matching.LocalMatcher(device=device)
@@ -172,17 +191,29 @@ def _two_stage(
 
     def compute() -> dict[str, np.ndarray]:
         return two_stage.evaluate_two_stage(
-            images(loaded.query_name), images(loaded.database_name), loaded.threshold, scores,
-            {name: pool(name) for name in names}, candidates=entry.rerank, retrieve=retrieve, seed=seed,
-        ).arrays()  # fmt: skip
+            images(loaded.query_name),
+            images(loaded.database_name),
+            loaded.threshold,
+            scores,
+            {name: pool(name) for name in names},
+            candidates=entry.rerank,
+            retrieve=retrieve,
+            seed=seed,
+        ).arrays()
 
     @functools.cache
     def sweep_of(name: str) -> two_stage_sweeps.Sweep:
         def compute_sweep() -> dict[str, np.ndarray]:
             return two_stage_sweeps.sweep(
-                images(loaded.query_name), images(loaded.database_name), loaded.threshold, scores, pool(name),
-                candidates=entry.rerank, draws=draws, seed=seed,
-            ).arrays()  # fmt: skip
+                images(loaded.query_name),
+                images(loaded.database_name),
+                loaded.threshold,
+                scores,
+                pool(name),
+                candidates=entry.rerank,
+                draws=draws,
+                seed=seed,
+            ).arrays()
 
         key = store.key(stage="two-stage sweep", pool=name, draws=draws, **shared)
         return two_stage_sweeps.Sweep.from_arrays(

@@ -137,7 +137,7 @@ def evaluate_standardised(described: Described, where: Split, standardise: STD, 
 
 def compare(
     manifest: Manifest, dataset: str, method: str, *, fraction: float = 0.1, iterations: int = 35, seed: int = 0
-) -> Suppressed:  # fmt: skip
+) -> Suppressed:
     """Fit INLP, LEACE and STD on one region and evaluate them beside the original on the other (paper Fig. 8).
 
     Parameters

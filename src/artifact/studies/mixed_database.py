@@ -59,7 +59,7 @@ class MixedDatabase:
 
 def mixed_database(
     manifest: Manifest, dataset: str, method: str, *, share: float = MIXED_SHARE, seed: int = 0
-) -> MixedDatabase:  # fmt: skip
+) -> MixedDatabase:
     """Fig. 2: R@1 with the database of the other condition alone, and with a few frames of the query's kind added."""
     described, added = _with_added(manifest, dataset, method, share, seed)
     loaded = described.dataset
@@ -111,9 +111,7 @@ def _same_condition(manifest: Manifest, dataset: str) -> str:
     return entry.same_condition_traversal
 
 
-def _with_added(
-    manifest: Manifest, dataset: str, method: str, share: float, seed: int
-) -> tuple[Described, np.ndarray]:  # fmt: skip
+def _with_added(manifest: Manifest, dataset: str, method: str, share: float, seed: int) -> tuple[Described, np.ndarray]:
     require_single_stage(manifest, method)
     name = _same_condition(manifest, dataset)
     described = describe(manifest, dataset, method, [name])
@@ -124,16 +122,21 @@ def _with_added(
 
 def _retrieve(
     described: Described, queries: np.ndarray, database: np.ndarray, added: np.ndarray, views: Any = None
-) -> Evaluation:  # fmt: skip
+) -> Evaluation:
     """Evaluate against the database with the added frames; any database image within the threshold is right."""
     loaded = described.dataset
     extra = next(name for name in loaded.traversals if name not in (loaded.query_name, loaded.database_name))
     descriptors = [described.database.values[database], described.descriptors[extra].values[added]]
     positions = [loaded.database.positions[database], loaded.traversals[extra].positions[added]]
     return evaluate(
-        described.query.values[queries], np.concatenate(descriptors), loaded.query.positions[queries],
-        np.concatenate(positions), loaded.threshold, views=views, retrieve=1,
-    )  # fmt: skip
+        described.query.values[queries],
+        np.concatenate(descriptors),
+        loaded.query.positions[queries],
+        np.concatenate(positions),
+        loaded.threshold,
+        views=views,
+        retrieve=1,
+    )
 
 
 def mixed_table(found: Mapping[str, MixedDatabase]) -> pd.DataFrame:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib.resources import files
 
 import numpy as np
 import pandas as pd
@@ -22,35 +24,10 @@ class Decision:
     ours: str
 
 
-DECISIONS = (
-    Decision("Positive", "within the threshold", "distance ≤ threshold, inclusive; frame tolerance: index difference in the dataset's own list of images; exact match: equal pair index"),
-    Decision("Excluded queries", "queries without a ground-truth match are excluded", "they leave numerator, denominator and the distractor pool; their number is printed"),
-    Decision("Distractors of a query", "pool images outside the threshold", "distance > threshold, strictly; the default pool is the evaluated queries themselves"),
-    Decision("Similarity", "not stated", "cosine; l2 and dot are options"),
-    Decision("Rank of the best positive", "not stated for ties", "1 + images strictly more similar: ties favour the query; the count under the opposite rule is kept and a gap is reported"),
-    Decision("R@K, DAR@K, RSR@K", "defined", "share of evaluated queries with rank ≤ K, without and with distractors; RSR@K = DAR@K / R@K, undefined where R@K is 0"),
-    Decision("Mean over datasets", "unweighted", "unweighted mean of the datasets shown; equal means share the better rank"),
-    Decision("Number sweep", "random samples of the pool", "round(ratio × pool size) images without replacement; the exact expectation over all draws, and the spread of nested draws (ten, a parameter of Fig. 6)"),
-    Decision("Distance sweep", "distractors beyond a distance", "distance > minimum, strictly, from the threshold to infinity"),
-    Decision("Condition sweep", "same number from each traversal", "each pool cut at random, by the seed, to the smallest pool"),
-    Decision("Mixed database (Figs. 2, 9)", "5 % of a daytime traversal is added", "that share of a traversal with the query's kind of condition, drawn by the seed; any database image within the threshold is right"),
-    Decision("Fitting region", "10 % of the queries; spatially disjoint", "the evaluated queries nearest to their mean position, and all database images within the threshold of any of them; 1-D positions: contiguous around the middle; Fig. 9: a slice from the edge of the map"),
-    Decision("Evaluation region", "the rest", "queries outside the fitting region, database without the fitted images; queries left without a positive are excluded; the distractors are the evaluation queries"),
-    Decision("INLP", "35 iterations, SGD classifier", "labels query against database; SGDClassifier(max_iter=2500, class_weight=\"balanced\", seed), else defaults; every direction is made orthogonal to the earlier ones, twice; with fewer images than dimensions the same algorithm runs in the span of the images"),
-    Decision("LEACE", "the closed form", "no shrinkage, by least squares; directions in which the fitting data do not vary are left alone, and so are conditions that are guarded already: where labels and descriptors vary together by less than 1000 epsilons of what they vary alone"),
-    Decision("STD", "mean and standard deviation per condition", "from the fitting region; a deviation that is zero counts as 1; distractors carry the query's condition"),
-    Decision("Guardedness probe", "linear SVM", "LinearSVC() with defaults on the transformed descriptors, trained and tested on two spatial halves of the evaluation region, each balanced to 50 %, with a gap of the threshold between them; classifiers that do not converge are counted beside Fig. 8"),
-    Decision("Several conditions", "sequential, in the paper's order", "each transform is fitted on descriptors that the earlier ones have changed; no scaling to unit length in between, once at the similarity; on pairs that no transform was fitted on (Table V), the places of every fitting region stay out"),
-    Decision("Normalisation", "not stated", "descriptors have unit length before the fit, and again after suppression, in the similarity"),
-    Decision("Image files", "not stated", "photographs are turned upright as their camera noted, what is transparent lies on white, 16-bit values are divided by 257; raw colour mosaics, 12-bit and float values are refused"),
-    Decision("Image counts", "Table I", "a difference is a sentence on every page that uses the dataset, never a stop"),
-    Decision("Input size", "not stated", "the authors' evaluation code of each method; a manifest value for each"),
-    Decision("CricaVPR batches", "16 images", "16 in natural file order within a traversal, the last batch smaller; the same descriptors serve as query and as distractor"),
-    Decision("Re-ranking (SelaVPR, SelaVPR++)", "top 100", "the first stage's top 100 of the augmented database are ranked again by the second stage; ties keep the first stage's order, ties at the cut favour the query; DAR may then exceed R and is never clipped; the number sweep is the mean of random draws (ten, at most three with local features), as Fig. 6 says"),
-    Decision("Precision", "not stated", "descriptors float32, distances float64; no TF32; local features are stored as float16 only where the manifest says so"),
-    Decision("Mean ± standard deviation (Tables IV, V)", "not stated", "of a sample (ddof = 1)"),
-    Decision("Intervals", "none", "95 %, circular block bootstrap over consecutive queries, 1,000 resamples"),
-)  # fmt: skip
+def decisions() -> list[Decision]:
+    """Return every choice that the paper leaves open, in the order of the protocol page."""
+    with (files("artifact.studies") / "protocol.csv").open(encoding="utf-8", newline="") as stream:
+        return [Decision(**row) for row in csv.DictReader(stream)]
 
 
 def sensitivity(

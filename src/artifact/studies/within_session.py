@@ -172,9 +172,11 @@ def _evaluations(
 ) -> dict[str, Evaluation]:
     """Evaluate the original and the suppressed descriptors against the pools of both sides of all turns."""
     key = store.key(
-        stage="within", revisions=[one_pass.REVISION, suppression.REVISION], inputs=described.key_inputs(),
+        stage="within",
+        revisions=[one_pass.REVISION, suppression.REVISION],
+        inputs=described.key_inputs(),
         settings=[statistic, values, region.fit_queries, CONTROLS, iterations, seed],
-    )  # fmt: skip
+    )
 
     def compute() -> dict[str, Any]:
         # The fitting region has its own median: all of it may lie on one side of the traversal's.
@@ -188,9 +190,17 @@ def _evaluations(
                 chosen = labels == side
                 pools[_pool(turn, side)], where[_pool(turn, side)] = queries[chosen], places[chosen]
         result = evaluate(
-            queries, described.database.values[columns], places, described.dataset.database.positions[columns],
-            described.dataset.threshold, pools, where, views=views, draws=1, depth=1,
-        )  # fmt: skip
+            queries,
+            described.database.values[columns],
+            places,
+            described.dataset.database.positions[columns],
+            described.dataset.threshold,
+            pools,
+            where,
+            views=views,
+            draws=1,
+            depth=1,
+        )
         return {"views": result}
 
     record = {"dataset": described.dataset.name, "method": described.method, "stage": f"within: {statistic}"}
