@@ -91,5 +91,5 @@ def test_the_town_imports_nothing_of_the_library():
 
 def test_the_formatter_decides_everywhere():
     mark = "# fmt" + ": "
-    files = [path for part in ("src", "tests", "notebooks", "book") for path in (REPOSITORY / part).rglob("*.py")]
+    files = [path for part in ("src", "tests", "notebooks", "book") for path in (SOURCE.parent / part).rglob("*.py")]
     assert [str(path) for path in files if mark in path.read_text(encoding="utf-8")] == []

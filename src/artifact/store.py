@@ -176,7 +176,7 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     if path.suffix != ".npz":
         raise ValueError(f"{path}: the ending is {path.suffix!r}; arrays are written to .npz files")
     with replacing(path) as temporary:
-        np.savez(temporary, **arrays)
+        np.savez(temporary, allow_pickle=False, **arrays)
 
 
 def load_arrays(path: Path, expected_key: str) -> dict[str, np.ndarray] | None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 from artifact.manifest.entries import (
     DatasetEntry,
@@ -23,6 +23,8 @@ from artifact.manifest.entries import (
 )
 from artifact.manifest.faults import read
 from artifact.manifest.layout import entry_of_folder
+
+_Entry = TypeVar("_Entry")
 
 DATA_ROOT_VARIABLE = "ARTIFACT_DATA_ROOT"
 TYPED_IN = "ARTIFACT_TYPED_IN"
@@ -169,7 +171,7 @@ def find(start: str | os.PathLike[str] | None = None) -> Path:
     raise ManifestError(f"no data_manifest.yaml in {folder} or above it; run from inside the repository")
 
 
-def _lookup(entries: dict[str, Any], name: str, kind: str, path: Path) -> Any:
+def _lookup(entries: dict[str, _Entry], name: str, kind: str, path: Path) -> _Entry:
     if name not in entries:
         raise ManifestError(f"{path}: no {kind} {name!r}; the {kind}s are {quoted(entries)}")
     return entries[name]

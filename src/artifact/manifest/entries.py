@@ -210,7 +210,11 @@ class WeightsEntry(_Strict):
 
     @model_validator(mode="after")
     def _files_differ(self) -> WeightsEntry:
-        for what, values in (("file", [f.file for f in self.files]), ("tensor", [f.tensor for f in self.files])):
+        named_twice: list[tuple[str, list[str | None]]] = [
+            ("file", [f.file for f in self.files]),
+            ("tensor", [f.tensor for f in self.files]),
+        ]
+        for what, values in named_twice:
             for value in values:
                 if values.count(value) > 1:
                     named = f"{what} {value!r}" if value else "a file without the key 'tensor'"

@@ -89,9 +89,10 @@ def evaluate(
     _same_width(("queries", query_set), ("database", database_set))
     pools: dict[str, ImageSet | None] = {}
     for name, (images, positions) in _named_pools(distractors, distractor_positions).items():
-        pools[name] = None if images is None else _image_set(f"distractors {name!r}", images, positions, similarity)
-        if pools[name] is not None:
-            _same_width(("queries", query_set), (f"distractors {name!r}", pools[name]))
+        pools[name] = None
+        if images is not None:
+            pools[name] = pool = _image_set(f"distractors {name!r}", images, positions, similarity)
+            _same_width(("queries", query_set), (f"distractors {name!r}", pool))
     ranking = rank(query_set, database_set, threshold, pools, views, options)
     evaluated = query_set.positions[ranking.evaluated]
     return Evaluation(
@@ -176,7 +177,7 @@ def _same_width(first: tuple[str, ImageSet], second: tuple[str, ImageSet]) -> No
             raise ValueError(f"{kind} have {widths[0]} columns in {first[0]} and {widths[1]} in {second[0]}")
 
 
-def _first(mask: np.ndarray) -> int:
+def _first(mask: Any) -> int:
     return int(np.flatnonzero(mask)[0])
 
 

@@ -312,7 +312,7 @@ class Evaluation:
 def _at_most(spare: np.ndarray, pool: int, outranking: np.ndarray, size: int) -> np.ndarray:
     """Probability that at most ``spare`` of the outranking are among ``size`` images drawn from a pool of ``pool``."""
 
-    def log_choose(n: np.ndarray, k: np.ndarray) -> np.ndarray:
+    def log_choose(n: Any, k: Any) -> Any:
         return gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1)
 
     total = np.zeros(len(outranking))

@@ -66,8 +66,11 @@ class Sweep:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Sweep:
         """Rebuild from :meth:`arrays`."""
-        parts = [Steps(*(arrays[f"{p}_{n}"] for n in ("starts", "keys", "ranks"))) for p in ("number", "distance")]
-        return cls(*parts, int(arrays["draws"]))
+        number, distance = (
+            Steps(*(arrays[f"{part}_{name}"] for name in ("starts", "keys", "ranks")))
+            for part in ("number", "distance")
+        )
+        return cls(number, distance, int(arrays["draws"]))
 
 
 def sweep(
@@ -120,7 +123,7 @@ class _StepsBuilder:
 
 
 @njit(nogil=True, cache=True)
-def rank_of_best(kind, second, against):
+def rank_of_best(kind: np.ndarray, second: np.ndarray, against: bool) -> int:
     """Rank of the best positive among candidates in first-stage order; 0 if there is none.
 
     Candidates level with it count when they stand before it, or all if ties go against the query.
@@ -140,7 +143,7 @@ def rank_of_best(kind, second, against):
 
 
 @njit(nogil=True, cache=True)
-def _steps(kind, second, keys, n):
+def _steps(kind: np.ndarray, second: np.ndarray, keys: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Add a query's distractors in order of their keys, and note the rank wherever it changes.
 
     The entries are in first-stage order. ``chosen`` holds the candidates of the moment, in that order: those that
@@ -172,7 +175,7 @@ def _steps(kind, second, keys, n):
 
 
 @njit(nogil=True, cache=True)
-def _ranks_below(starts, keys, ranks, limits):
+def _ranks_below(starts: np.ndarray, keys: np.ndarray, ranks: np.ndarray, limits: np.ndarray) -> np.ndarray:
     out = np.empty((starts.size - 1, limits.size), np.int32)
     for row in range(starts.size - 1):
         first = starts[row]

@@ -179,7 +179,7 @@ def scored_entries(
     ValueError
         If a score is not finite.
     """
-    compared = {None: _comparable(problem.database.first)}
+    compared: dict[str | None, np.ndarray] = {None: _comparable(problem.database.first)}
     compared |= {name: _comparable(pool.first) for name, pool in pools.items() if pool is not None}
     wanted = _comparable(problem.queries.first)
     for start in range(0, len(wanted), _BLOCK):
@@ -264,7 +264,7 @@ def _above(descending: np.ndarray, levels: np.ndarray) -> np.ndarray:
 
 
 @njit(nogil=True, cache=True)
-def _reachable(before, keys, n):
+def _reachable(before: np.ndarray, keys: np.ndarray, n: int) -> np.ndarray:
     """Tell which distractors, in first-stage order, are candidates at some point of at least one sweep.
 
     ``before`` is the number of database images before each, ``keys`` ``(images, sweeps)``. A distractor that is added
@@ -313,8 +313,10 @@ def _score(problem: Problem, block: range, parts: list[Entries], images: Images,
 
 def _merged(near: Entries, far: Entries) -> Entries:
     keys = np.concatenate([np.zeros((len(near.index), far.keys.shape[1])), far.keys])
-    names = ("kind", "index", "first", "second")
-    return _sorted(Entries(*(np.concatenate([getattr(near, n), getattr(far, n)]) for n in names), keys))
+    kind, index, first, second = (
+        np.concatenate([getattr(near, name), getattr(far, name)]) for name in ("kind", "index", "first", "second")
+    )
+    return _sorted(Entries(kind, index, first, second, keys))
 
 
 def _sorted(entries: Entries) -> Entries:

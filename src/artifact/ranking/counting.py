@@ -96,7 +96,7 @@ class Counts(NamedTuple):
 
 
 @njit(nogil=True, cache=True)
-def _insert_descending(values, labels, value, label):
+def _insert_descending(values: np.ndarray, labels: np.ndarray, value: float, label: int) -> None:
     """Put a value into a descending list that is full; the last falls out, equal values keep their order."""
     slot = values.size - 1
     while slot > 0 and values[slot - 1] < value:
@@ -108,7 +108,7 @@ def _insert_descending(values, labels, value, label):
 
 
 @njit(nogil=True, cache=True)
-def _insert_distance(values, value):
+def _insert_distance(values: np.ndarray, value: float) -> None:
     slot = values.size - 1
     while slot > 0 and values[slot - 1] < value:
         values[slot] = values[slot - 1]
@@ -117,7 +117,7 @@ def _insert_distance(values, value):
 
 
 @njit(nogil=True, cache=True)
-def _insert_places(first, places):
+def _insert_places(first: np.ndarray, places: np.ndarray) -> None:
     """Put an image's place in each random order into that order's ascending list, where it is small enough."""
     last = first.shape[0] - 1
     for draw in range(places.size):
@@ -130,7 +130,9 @@ def _insert_places(first, places):
 
 
 @njit(nogil=True, cache=True)
-def _similarities(row, correction, scale, bias, out):
+def _similarities(
+    row: np.ndarray, correction: np.ndarray, scale: np.ndarray, bias: np.ndarray, out: np.ndarray
+) -> None:
     """Write the similarities of one tile row; an empty correction changes nothing."""
     if correction.size:
         for column in range(out.size):
@@ -141,7 +143,7 @@ def _similarities(row, correction, scale, bias, out):
 
 
 @njit(nogil=True, cache=True)
-def database_rows(tile, groups, counts):
+def database_rows(tile: Tile, groups: Groups, counts: Counts) -> None:
     """Find the best positive of each row and count the columns above it and level with it.
 
     The tile holds every database image of its rows; ``groups`` are the positives.
@@ -176,7 +178,7 @@ def database_rows(tile, groups, counts):
 
 
 @njit(nogil=True, cache=True)
-def pool_counts(tile, groups, counts):
+def pool_counts(tile: Tile, groups: Groups, counts: Counts) -> None:
     """Count as :func:`pool_rows`, without lists: for views whose sweeps nobody asked for.
 
     ``groups`` are the pool images that each query may not use: everything is counted and those few are taken back, so
@@ -206,7 +208,7 @@ def pool_counts(tile, groups, counts):
 
 
 @njit(nogil=True, cache=True)
-def _distances(here, pool_positions, begin, out):
+def _distances(here: np.ndarray, pool_positions: np.ndarray, begin: int, out: np.ndarray) -> None:
     """Write the distances from one position to ``out.size`` pool images from ``begin`` on."""
     for place in range(out.size):
         out[place] = 0.0
@@ -219,7 +221,7 @@ def _distances(here, pool_positions, begin, out):
 
 
 @njit(nogil=True, cache=True)
-def pool_rows(tile, places, orders, earliest, counts):
+def pool_rows(tile: Tile, places: Places, orders: np.ndarray, earliest: np.ndarray, counts: Counts) -> None:
     """Count the allowed distractors of a tile that beat, or are level with, each row's best positive.
 
     ``orders`` is ``(pool, draws)``: the place of each pool image in each random order, and ``earliest`` its smallest

@@ -52,7 +52,9 @@ def _readable(descriptors: np.ndarray) -> np.ndarray:
 
 
 @njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
-def _cosines(queries, query_rows, images, image_rows, scores):
+def _cosines(
+    queries: np.ndarray, query_rows: np.ndarray, images: np.ndarray, image_rows: np.ndarray, scores: np.ndarray
+) -> None:
     for pair in range(scores.size):
         query, image = queries[query_rows[pair]], images[image_rows[pair]]
         product, query_square, image_square = 0.0, 0.0, 0.0
@@ -170,7 +172,9 @@ def _match_on_cpu(query: np.ndarray, images: np.ndarray, places: np.ndarray) -> 
 
 
 @njit(nogil=True, cache=True, fastmath={"nnan", "nsz"})
-def _nearest(tile, first, nearest_of_row, nearest_of_column, closest):
+def _nearest(
+    tile: np.ndarray, first: int, nearest_of_row: np.ndarray, nearest_of_column: np.ndarray, closest: np.ndarray
+) -> None:
     """Find the nearest column of each row, and go on with the nearest row of each column; ties: the first."""
     columns = tile.shape[1]
     for row in range(tile.shape[0]):

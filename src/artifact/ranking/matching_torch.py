@@ -46,7 +46,7 @@ def match_count(query: torch.Tensor, candidates: torch.Tensor, *, block: int = 1
     if block < 1:
         raise ValueError(f"match_count takes a block of at least 1 candidate; found {block}.")
     query = query.flatten(0, -2)
-    scores = [_mutual(query, some) for some in candidates.flatten(1, -2).split(block)]
+    scores = [_mutual(query, some) for some in torch.split(candidates.flatten(1, -2), block)]
     return torch.cat(scores) if scores else torch.zeros(0, dtype=torch.int64, device=query.device)
 
 

@@ -108,8 +108,8 @@ def probe_split(
     cut, half = np.median(along[0]), threshold / 2
     generator = np.random.default_rng(seed)
     chosen = []
-    for name, inside in (("train", lambda x: x <= cut - half), ("test", lambda x: x > cut + half)):
-        groups = [np.flatnonzero(inside(values)) for values in along]
+    for name in ("train", "test"):
+        groups = [np.flatnonzero(x <= cut - half if name == "train" else x > cut + half) for x in along]
         size = min(map(len, groups))
         if size < 2:
             raise ValueError(
