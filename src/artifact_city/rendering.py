@@ -151,7 +151,8 @@ def render_frame(traversal: CityTraversal, index: int) -> np.ndarray:
     drift = np.sin(index * 0.11 + whole.uniform(0, 6)) + np.sin(index * 0.043 + whole.uniform(0, 6))
     gain = sensor.exposure * float(np.exp(whole.normal(0, 0.06) + 0.05 * drift))
     warmth = sensor.warmth * float(np.exp(whole.normal(0, 0.02)))
-    bloom(image, 0.55 if condition.dark else 0.16)
+    if condition.dark:
+        bloom(image, 0.55)
     if sensor.blur > 0:
         image = soften(image, sensor.blur)
     rendering = {

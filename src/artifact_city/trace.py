@@ -246,7 +246,7 @@ def _trace_blob(view, x, y, z, radius, half, density, evergreen, seed, code, sur
             chord = root / np.sqrt(a)
             if chord < 0.85:
                 px, py, pz = (view.x + t * ray_x) * scale, (view.y + t * ray_y) * scale, (view.z + t * slope) * scale
-                grain = 0.6 * noise3(px, py, pz, seed) + 0.4 * noise3(0.35 * px, 0.35 * py, 0.35 * pz, seed + 9.0)
+                grain = noise3(0.7 * px, 0.7 * py, 0.7 * pz, seed)
                 if chord < (0.1 + 0.8 * grain if evergreen else 0.05 + 1.0 * (grain - 0.08)):
                     continue
             if density < 1.0 and hash3(float(column), float(row), float(code)) > density:
