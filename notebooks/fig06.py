@@ -32,8 +32,9 @@ from IPython.display import Markdown, display
 from artifact import pages, studies
 from artifact.pages.scope import open_page
 
-asked = {"ratios": ratios, "distances": distances, "draws": draws, "k": k, "seed": seed}
-page = open_page(profile, dataset=dataset, methods=methods, **asked)
+page = open_page(
+    profile, dataset=dataset, methods=methods, ratios=ratios, distances=distances, draws=draws, k=k, seed=seed
+)
 page = page.choose(unit="metres")
 number = studies.distractors.distractor_number(
     page.manifest, page.dataset, page.methods, ratios, k=k, draws=draws, seed=seed

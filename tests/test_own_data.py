@@ -153,7 +153,10 @@ def test_make_hands_on_what_was_typed(name, tmp_path):
         (tmp_path / file).write_bytes((REPOSITORY / file).read_bytes())
     (tmp_path / ".venv" / ".ready").write_text(f"{tmp_path}\n")
     typed = f'SET=datasets=["{name}"] k=5'
-    done = subprocess.run(["make", "reproduce", typed], cwd=tmp_path, capture_output=True, text=True, check=True)
+    outside = {key: value for key, value in os.environ.items() if not key.startswith("MAKE")}
+    done = subprocess.run(
+        ["make", "reproduce", typed], cwd=tmp_path, env=outside, capture_output=True, text=True, check=True
+    )
     assert done.stdout.splitlines()[-1] == f'datasets=["{name}"] k=5'
     assert assignments(done.stdout.splitlines()[-1]) == [f'datasets=["{name}"]', "k=5"]
 

@@ -114,7 +114,9 @@ def made(folder, *arguments, **environment):
         if not (folder / file).exists():
             shutil.copy(REPOSITORY / file, folder / file)
     clean = {
-        name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MAKEFLAGS", "ARTIFACT_CACHE")
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("PYTHONPATH", "ARTIFACT_CACHE") and not name.startswith("MAKE")
     }
     return subprocess.run(
         ["make", *arguments],

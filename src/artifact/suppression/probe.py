@@ -85,7 +85,7 @@ def probe(
     --------
     >>> rng = np.random.default_rng(0)
     >>> where, places = np.arange(80.0), rng.normal(size=(80, 8)).astype(np.float32)
-    >>> probe(places + 2, places, where, where, threshold=2).accuracy
+    >>> probe(places + 4, places - 4, where, where, threshold=2).accuracy
     1.0
     """
     rows = probe_split(query_positions, database_positions, threshold, seed)
