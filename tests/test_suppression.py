@@ -129,6 +129,37 @@ def test_leace_is_the_smallest_change_among_guarding_maps():
     assert smallest < change(np.eye(6).ravel()) * 0.999, "an orthogonal projection is a larger change"
 
 
+@pytest.mark.parametrize("shrinkage", [False, True])
+@pytest.mark.parametrize("kind", [np.float16, np.float32, np.float64])
+@pytest.mark.parametrize(("n", "d", "conditions"), [*SHAPES, (500, 64, 2), (200, 2000, 2)])
+def test_leace_fitted_on_its_own_output_changes_nothing(n, d, conditions, kind, shrinkage):
+    for seed in range(3):
+        X, condition = labelled(n, d, conditions, seed)
+        X = X.astype(kind)
+        erased = LEACE(shrinkage).fit(X, condition).transform(X).astype(kind)
+        refitted = LEACE(shrinkage).fit(erased, condition)
+        change = np.abs(refitted.transform(erased).astype(float) - erased.astype(float)).max()
+        assert change <= 4 * np.finfo(kind).eps * np.abs(X.astype(float)).max()
+    # Held in a wider type, the values are still those of the narrow one.
+    again = LEACE(shrinkage).fit(erased.astype(np.float64), condition)
+    np.testing.assert_array_equal(again.transform(erased.astype(np.float64)), erased)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize(("n", "d"), [(2000, 64), (150, 400)])
+def test_leace_removes_a_weak_condition_beside_a_strong_one(n, d, kind):
+    """Means that differ by a thousandth of the scatter are far above rounding, with fewer columns than rows and with more."""
+    X, condition = labelled(n, d, 3)
+    X -= class_means(X, condition)[condition]
+    scatter = np.sqrt((X**2).sum(axis=1).mean())
+    directions = np.linalg.qr(np.random.default_rng(1).standard_normal((d, 2)))[0].T
+    X += scatter * np.stack([directions[0], -directions[0], 1e-3 * directions[1]])[condition]
+    fitted = LEACE().fit(X.astype(kind), condition)
+    assert fitted.map_.rank == 2
+    means = class_means(fitted.transform(X.astype(kind)).astype(float), condition)
+    assert np.ptp(means, axis=0).max() < 1e-5 * scatter
+
+
 def test_leace_tolerance_drops_directions_without_data():
     X, condition = labelled(100, 8, 2)
     X = np.concatenate([X, X[:, :2] + 1e-13], axis=1)  # two columns repeat: the covariance is singular
@@ -330,6 +361,8 @@ def test_views_equal_transforming_the_descriptors_first(similarity, device, monk
     inlp, leace = INLP(n_iterations=6).fit(X, condition), LEACE().fit(X, condition)
     views = {"inlp": inlp, "inlp at 2": inlp.at(2), "leace": leace, "both": compose(leace, inlp)}
     result = evaluate(queries, database, where, where, 1.0, views=views, similarity=similarity, retrieve=5)
+    unchanged = evaluate(queries, database, where, where, 1.0, views={"none": inlp.at(0)}, similarity=similarity)
+    np.testing.assert_array_equal(unchanged["none"].ranks(distractors=True), result.ranks(distractors=True))
     bare = evaluate(queries, database, where, where, 1.0, views=views, similarity=similarity)
     swept = evaluate(queries, database, where, where, 1.0, views=views, similarity=similarity, view_sweeps=True)
     for name, view in views.items():

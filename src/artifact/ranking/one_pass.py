@@ -314,7 +314,7 @@ def _project(descriptors: np.ndarray, bases: list[np.ndarray]) -> Iterator[np.nd
         [places.setdefault(column.tobytes(), len(places)) for column in np.ascontiguousarray(basis.T)]
         for basis in bases
     ]
-    directions = np.frombuffer(b"".join(places), np.float32).reshape(len(places), -1)
+    directions = np.frombuffer(b"".join(places), np.float32).reshape(len(places), descriptors.shape[1])
     out = np.empty((len(descriptors), len(places)), np.float32)
     for rows in _blocks(len(descriptors), max(1, 2**23 // max(1, descriptors.shape[1]))):
         np.matmul(descriptors[rows].astype(np.float32, copy=False), directions.T, out=out[rows])

@@ -154,6 +154,3 @@ def _coordinates(X: np.ndarray, device: Any) -> tuple[np.ndarray, Any]:
     return np.multiply(vectors, roots, order="C"), lambda basis: weighted_sum(
         X, np.zeros(d), vectors @ (basis / roots[:, None])
     )
-
-
-# -- checks and linear algebra --------------------------------------------------------------------------------

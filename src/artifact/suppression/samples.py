@@ -30,6 +30,15 @@ def checked_fit(X: np.ndarray, condition: np.ndarray) -> tuple[np.ndarray, np.nd
     return X, condition
 
 
+def precision(X: np.ndarray) -> float:
+    """Return the epsilon of the coarsest of float16, float32 and float64 that holds every value."""
+    for kind in (np.float16, np.float32):
+        with np.errstate(over="ignore"):
+            if all((rows.astype(kind) == rows).all() for rows in X):
+                return float(np.finfo(kind).eps)
+    return float(np.finfo(np.float64).eps)
+
+
 def _chunks(width: int) -> range:
     return range(0, width, _CHUNK)
 
