@@ -1,11 +1,14 @@
 """Studies of suppression on descriptors whose cause is known: a condition along one direction."""
 
 import dataclasses
+import functools
+import importlib
 
 import numpy as np
 import pandas as pd
 import pytest
 import synthetic
+from sklearn.svm import LinearSVC
 
 from artifact import compose, evaluate, pages, studies
 from artifact.manifest.entries import ManifestError
@@ -66,6 +69,24 @@ def test_suppression_undoes_a_condition_that_is_one_direction(made):
         assert table.loc[name, "probe"] < 75
     counts = studies.suppression.improved(table.reset_index()).set_index("suppression")
     assert counts.loc["LEACE", ["pairs", "probe", "DAR"]].tolist() == [1, 1, 1]
+
+
+def test_probes_that_do_not_converge_are_counted_stored_and_shown(made, monkeypatch):
+    manifest, _ = made
+    few = functools.partial(LinearSVC, max_iter=1)
+    monkeypatch.setattr(importlib.import_module("artifact.suppression.probe"), "LinearSVC", few)
+    compare = lambda: studies.suppression.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=2).table  # noqa: E731
+    first = compare()
+    assert first["probe_unconverged"].tolist() == [1] * 4
+    monkeypatch.undo()
+    synthetic.offer(monkeypatch, made[1])
+    pd.testing.assert_frame_equal(first, compare())
+    page = pages.suppression.suppression_table(first, {synthetic.METHOD: "Coded"}).data
+    assert "4 of 4 probes did not converge" in page
+    assert (
+        "converge"
+        not in pages.suppression.suppression_table(first.assign(probe_unconverged=0), {synthetic.METHOD: "Coded"}).data
+    )
 
 
 def test_a_second_reading_computes_nothing(made, monkeypatch):

@@ -280,6 +280,20 @@ def test_std_gives_every_condition_mean_0_and_deviation_1():
         np.testing.assert_allclose(out[condition == c].std(axis=0), expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("kind", [np.float16, np.float32, np.float64])
+def test_std_in_blocks_and_in_place_gives_the_same(kind, monkeypatch):
+    X, condition = labelled(60, 7, 2)
+    X = X.astype(kind)
+    fitted = STD().fit(X, condition)
+    whole, given = fitted.transform(X, condition), X.copy()
+    monkeypatch.setattr("artifact.suppression.std._BLOCK", 4 * 7)
+    np.testing.assert_array_equal(fitted.transform(given, condition), whole)
+    np.testing.assert_array_equal(given, X)
+    out = fitted.transform(given, condition, copy=False)
+    np.testing.assert_array_equal(out, whole)
+    assert (out is given) == (kind != np.float16)
+
+
 def test_std_takes_one_condition_for_all_rows_and_refuses_unseen_ones():
     X, condition = labelled(60, 5, 2)
     fitted = STD().fit(X, condition)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from artifact.suppression.inlp import INLP
     from artifact.suppression.leace import LEACE
     from artifact.suppression.lowrank import LowRankMap, compose
+    from artifact.suppression.probe import probe
     from artifact.suppression.regions import fit_region, split
     from artifact.suppression.std import STD
 
@@ -34,6 +35,7 @@ __all__ = [
     "evaluate",
     "fit_region",
     "methods",
+    "probe",
     "split",
 ]
 
@@ -42,6 +44,7 @@ _HOMES = {
     "suppression.leace": ["LEACE"],
     "suppression.std": ["STD"],
     "suppression.lowrank": ["LowRankMap", "compose"],
+    "suppression.probe": ["probe"],
     "suppression.regions": ["fit_region", "split"],
     "metrics.evaluate": ["evaluate"],
     "metrics.evaluation": ["Evaluation"],

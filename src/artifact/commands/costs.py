@@ -222,9 +222,12 @@ def _suppression(pair: Pair, rates: Mapping[str, float]) -> Iterator[Step]:
         (1 + 4 + 2 * len(FRACTIONS)) * _KEPT * pair.queries,
     )
     rows = min(region.queries, region.database)  # of both conditions in one half, to train on; as many to test on
-    rate = rates["probe_dual" if rows < pair.dimension else "probe_primal"]
-    # float64 to train and test, and the solver's copy with an index for each value; region before and after
-    yield Step("probe", rows * pair.dimension * rate, _PROCESS + 32.0 * rows * pair.dimension + 5 * region.bytes)
+    if rows < pair.dimension:  # on the factor of the inner products, which the solver keeps as indexed values
+        seconds = rows**2 * (rates["probe_dual"] + 2 * pair.dimension * rates["gram"])
+        memory = 16.0 * rows**2
+    else:  # float64, and the solver's copy with an index for each value
+        seconds, memory = rows * pair.dimension * rates["probe_primal"], 24.0 * rows * pair.dimension
+    yield Step("probe", seconds, _PROCESS + memory + 2 * region.bytes)
     if pair.embedded:
         epochs = _UMAP_EPOCHS if region.images <= _UMAP_MANY else _UMAP_FEW_EPOCHS
         seconds = 2 * region.images * epochs * rates["umap"]

@@ -68,6 +68,8 @@ def suppression_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int 
         "Original descriptors in percent, changes in percentage points. Fitted on: queries + database images of the "
         "fitting region."
     )
+    if unconverged := frame["probe_unconverged"].sum():
+        caption += f" {unconverged} of {len(frame)} probes did not converge within the classifier's default iterations."
     return table(rows, text=2, caption=caption)
 
 

@@ -21,10 +21,10 @@ from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.stored import stored
 from artifact.ranking import one_pass
 from artifact.ranking.one_pass import ORIGINAL
-from artifact.suppression import probe
 from artifact.suppression.inlp import INLP
 from artifact.suppression.leace import LEACE
 from artifact.suppression.lowrank import LowRankMap, compose
+from artifact.suppression.probe import probe
 from artifact.suppression.regions import Split, Where, split
 from artifact.suppression.std import STD
 
@@ -45,12 +45,15 @@ class Suppressed:
         By suppression method, ``"original"`` first.
     accuracies
         Test accuracy of the guardedness probe by suppression method, as a fraction.
+    unconverged
+        The suppression methods whose probe did not converge.
     described, split
         What was evaluated, and where it was fitted.
     """
 
     evaluations: dict[str, Evaluation]
     accuracies: dict[str, float]
+    unconverged: tuple[str, ...]
     described: Described
     split: Split
 
@@ -127,8 +130,11 @@ def evaluate_region(described: Described, where: Split, views: Mapping[str, Any]
 
 def evaluate_standardised(described: Described, where: Split, standardise: STD, **options: Any) -> Evaluation:
     """Evaluate the evaluation region under STD; distractors carry the query condition."""
-    region = evaluation_region(described, where)
-    rescaled = standardise.transform(region.queries, QUERY), standardise.transform(region.database, DATABASE)
+    region = evaluation_region(described, where)  # a copy, so it can be rescaled in place
+    rescaled = [
+        standardise.transform(region.queries, QUERY, copy=False),
+        standardise.transform(region.database, DATABASE, copy=False),
+    ]
     return evaluate(*rescaled, *region.places, **options)
 
 
@@ -157,23 +163,27 @@ def compare(
         return {
             "views": evaluate_region(described, where, {name: fitted[name] for name in LOW_RANK}, seed=seed),
             "STD": evaluate_standardised(described, where, fitted["STD"], seed=seed),
-            "accuracies": _probe_all(described, where, fitted, seed),
+            **_probes(described, where, fitted, seed),
         }
 
     results = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "suppression"})
     evaluations = {name: results["views"][name] for name in (ORIGINAL, *LOW_RANK)} | {"STD": results["STD"]}
     accuracies = dict(zip((ORIGINAL, *METHODS), results["accuracies"].tolist(), strict=True))
-    return Suppressed(evaluations, accuracies, described, where)
+    unconverged = tuple(name for name, done in zip(accuracies, results["converged"], strict=True) if not done)
+    return Suppressed(evaluations, accuracies, unconverged, described, where)
 
 
-def _probe_all(described: Described, where: Split, fitted: Mapping[str, Any], seed: int) -> np.ndarray:
-    """Probe accuracies of the original and the suppressed descriptors of the evaluation region."""
+def _probes(described: Described, where: Split, fitted: Mapping[str, Any], seed: int) -> dict[str, np.ndarray]:
+    """Probe the original and the suppressed descriptors of the evaluation region, one after the other."""
     region = evaluation_region(described, where)
-    queries, database = region.queries, region.database
-    rows = probe.probe_split(region.query_positions, region.database_positions, seed)
-    pairs = [(queries, database), *((fitted[n].transform(queries), fitted[n].transform(database)) for n in LOW_RANK)]
-    pairs.append((fitted["STD"].transform(queries, QUERY), fitted["STD"].transform(database, DATABASE)))
-    return np.array([probe.probe_accuracy(*pair, rows, seed) for pair in pairs])
+    found = [
+        probe(region.queries, region.database, *region.places, transform=fitted.get(name), seed=seed)
+        for name in (ORIGINAL, *METHODS)
+    ]
+    return {
+        "accuracies": np.array([one.accuracy for one in found]),
+        "converged": np.array([one.converged for one in found]),
+    }
 
 
 def by_fraction(

@@ -32,8 +32,9 @@ def suppression_table(
     -------
     Study
         One row per dataset, method and suppression method: ``dataset``, ``title``, ``method``, ``suppression``
-        (``original`` among them), ``reported_as``, ``R``, ``DAR``, ``probe`` in percent, their changes ``change_R``, ``change_DAR``,
-        ``change_probe`` in percentage points, ``queries``, ``fitted_queries``, ``fitted_database``, ``origin``.
+        (``original`` among them), ``reported_as``, ``R``, ``DAR``, ``probe`` in percent, ``probe_unconverged`` (1 if
+        the probe did not converge), changes ``change_R``, ``change_DAR``, ``change_probe`` in percentage points, ``queries``,
+        ``fitted_queries``, ``fitted_database``, ``origin``.
     """
     rows, inputs = [], []
     for name in names:
@@ -52,6 +53,7 @@ def suppression_table(
                         "R": PERCENT * after.recall(k),
                         "DAR": PERCENT * after.dar(k),
                         "probe": PERCENT * result.accuracies[suppressor],
+                        "probe_unconverged": int(suppressor in result.unconverged),
                         "change_R": PERCENT * (after.recall(k) - before.recall(k)),
                         "change_DAR": PERCENT * (after.dar(k) - before.dar(k)),
                         "change_probe": PERCENT * (result.accuracies[suppressor] - result.accuracies[ORIGINAL]),

@@ -63,7 +63,8 @@ class LowRankMap:
         kind = X.dtype if X.dtype in (np.float32, np.float64) else np.float32
         left, right, offset = (part.astype(kind) for part in (self.left, self.right, self.offset))
         X = X.astype(kind, copy=False)
-        return X - (X @ right - offset) @ left.T
+        change = (X @ right - offset) @ left.T
+        return np.subtract(X, change, out=change)
 
 
 def compose(*steps: Any) -> LowRankMap:

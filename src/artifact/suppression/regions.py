@@ -77,7 +77,7 @@ def fit_region(positions: np.ndarray, fraction: float, where: Where = "centre") 
     # ceil of a rounded product: 0.1 * 30 must take 3 and not 4
     count = math.ceil(round(fraction * n, 9))
     if where == "edge":
-        along = positions @ _longest_direction(positions)
+        along = positions @ longest_direction(positions)
         order = np.argsort(along, kind="stable")
     elif where != "centre":
         raise ValueError(f"where is {where!r}; allowed: 'centre', 'edge'")
@@ -89,7 +89,7 @@ def fit_region(positions: np.ndarray, fraction: float, where: Where = "centre") 
     return np.sort(order[:count])
 
 
-def _longest_direction(positions: np.ndarray) -> np.ndarray:
+def longest_direction(positions: np.ndarray) -> np.ndarray:
     """First principal axis, turned so that its largest component is positive."""
     centred = positions - positions.mean(axis=0)
     axis = np.linalg.svd(centred, full_matrices=False)[2][0]

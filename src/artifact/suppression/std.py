@@ -8,6 +8,8 @@ from sklearn.utils.validation import check_is_fitted
 
 from artifact.suppression.samples import checked_fit
 
+_BLOCK = 2**22  # values that are standardised at a time
+
 
 class STD(BaseEstimator):
     """Per-condition standardisation (Schubert et al. 2020): ``r(x_c) = (x_c - μ_c) / σ_c`` (paper §IV-C).
@@ -48,8 +50,10 @@ class STD(BaseEstimator):
         self.scale_ = np.where(flat, 1.0, deviation)
         return self
 
-    def transform(self, X: np.ndarray, condition: np.ndarray | int) -> np.ndarray:
+    def transform(self, X: np.ndarray, condition: np.ndarray | int, *, copy: bool = True) -> np.ndarray:
         """Standardise descriptors ``(n, d)`` by their conditions, ``(n,)`` or one for all; the dtype is kept.
+
+        ``copy=False`` writes the result into ``X`` itself if that is float32 or float64.
 
         Raises
         ------
@@ -68,6 +72,13 @@ class STD(BaseEstimator):
             raise ValueError(
                 f"condition {unseen[0]} was not seen at fit; the conditions are {self.conditions_.tolist()}"
             )
+        kind = X.dtype if X.dtype in (np.float32, np.float64) else np.dtype(np.float32)
+        mean, scale = self.mean_.astype(kind), self.scale_.astype(kind)
         index = np.searchsorted(self.conditions_, rows)
-        kind = X.dtype if X.dtype in (np.float32, np.float64) else np.float32
-        return (X.astype(kind, copy=False) - self.mean_.astype(kind)[index]) / self.scale_.astype(kind)[index]
+        out = np.empty(X.shape, kind) if copy or X.dtype != kind else X
+        step = max(1, _BLOCK // X.shape[1])
+        for start in range(0, len(X), step):
+            part = slice(start, start + step)
+            np.subtract(X[part], mean[index[part]], out=out[part], dtype=kind)
+            out[part] /= scale[index[part]]
+        return out
