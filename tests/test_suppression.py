@@ -1,6 +1,7 @@
 """INLP, LEACE and STD: the mathematics that they promise, and the errors that they give."""
 
 import importlib
+import pickle
 import warnings
 
 import numpy as np
@@ -14,8 +15,7 @@ from sklearn.exceptions import ConvergenceWarning, NotFittedError
 from sklearn.linear_model import LogisticRegression, SGDClassifier
 from sklearn.metrics import balanced_accuracy_score
 
-from artifact import INLP, LEACE, STD, compose, evaluate
-from artifact.suppression import lowrank
+from artifact import INLP, LEACE, STD, compose, evaluate, load_transform
 from artifact.suppression.inlp import _coordinates
 from artifact.suppression.lowrank import LowRankMap
 
@@ -335,13 +335,68 @@ def test_what_cannot_be_composed():
         compose()
 
 
-def test_transforms_are_stored_under_their_key(tmp_path):
+def test_saved_transforms_give_the_same(tmp_path):
     X, condition = labelled(60, 9, 2)
-    fitted = LEACE().fit(X, condition)
-    lowrank.save(fitted, tmp_path / "leace.npz", {"key": "abc", "fitted_on": "street"})
-    np.testing.assert_array_equal(lowrank.load(tmp_path / "leace.npz", "abc").transform(X), fitted.transform(X))
-    assert lowrank.load(tmp_path / "leace.npz", "other") is None
-    assert lowrank.load(tmp_path / "none.npz", "abc") is None
+    leace, inlp, std = LEACE().fit(X, condition), INLP(2).fit(X, condition), STD().fit(X, condition)
+    compose(leace, inlp).save(tmp_path / "both.npz")
+    loaded = load_transform(tmp_path / "both.npz")
+    np.testing.assert_array_equal(loaded.transform(X), compose(leace, inlp).transform(X))
+    assert compose(loaded, leace).rank == 4
+    std.save(str(tmp_path / "std"))  # any name
+    np.testing.assert_array_equal(load_transform(tmp_path / "std").transform(X, condition), std.transform(X, condition))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["both.npz", "std"]
+
+
+def test_a_transform_that_is_not_written_whole_leaves_the_old_one(tmp_path, monkeypatch):
+    X, condition = labelled(60, 9, 2)
+    saved = compose(LEACE().fit(X, condition))
+    saved.save(tmp_path / "a.npz")
+    before = (tmp_path / "a.npz").read_bytes()
+
+    def full(stream, **_):
+        stream.write(b"half")
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(OSError, match="No space"):
+        compose(saved, saved).save(tmp_path / "a.npz")
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [before]
+
+
+def test_files_that_are_no_transforms_are_refused_in_one_line(tmp_path):
+    path, good = tmp_path / "x.npz", {"left": np.ones((3, 1)), "right": np.ones((3, 1)), "offset": np.ones(1)}
+    form = {"format": np.array("artifact transform 1, low-rank map")}
+
+    class Evil:
+        def __reduce__(self):
+            return (pytest.fail, ("the file was run",))
+
+    def arrays(**named):
+        np.savez(path, **named)
+
+    def pickled():
+        path.write_bytes(pickle.dumps(Evil()))
+
+    for write in (
+        lambda: path.write_bytes(b""),
+        lambda: path.write_text("left,right"),
+        lambda: path.write_bytes(b"PK\x03\x04 cut off"),
+        lambda: (np.save(tmp_path / "y.npy", np.eye(3)), (tmp_path / "y.npy").replace(path)),
+        pickled,
+        lambda: arrays(**good, **form | {"format": np.array([Evil()], object)}),
+        lambda: arrays(**good),
+        lambda: arrays(**good, format=np.array("other")),
+        lambda: arrays(**form, **good | {"right": np.ones((4, 1))}),
+        lambda: arrays(**form, **good | {"offset": np.ones(2)}),
+        lambda: arrays(**form, **good | {"left": np.full((3, 1), np.nan)}),
+        lambda: arrays(**form, left=good["left"]),
+    ):
+        write()
+        with pytest.raises(ValueError, match=r"x\.npz: not a saved transform \(.*allowed: files written by") as caught:
+            load_transform(path)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(FileNotFoundError):
+        load_transform(tmp_path / "none.npz")
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])

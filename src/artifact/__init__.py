@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from artifact.metrics.evaluation import Evaluation
     from artifact.suppression.inlp import INLP
     from artifact.suppression.leace import LEACE
+    from artifact.suppression.loading import load_transform
     from artifact.suppression.lowrank import LowRankMap, compose
     from artifact.suppression.probe import probe
     from artifact.suppression.regions import fit_region, split
@@ -34,6 +35,7 @@ __all__ = [
     "compose",
     "evaluate",
     "fit_region",
+    "load_transform",
     "methods",
     "probe",
     "split",
@@ -43,6 +45,7 @@ _HOMES = {
     "suppression.inlp": ["INLP"],
     "suppression.leace": ["LEACE"],
     "suppression.std": ["STD"],
+    "suppression.loading": ["load_transform"],
     "suppression.lowrank": ["LowRankMap", "compose"],
     "suppression.probe": ["probe"],
     "suppression.regions": ["fit_region", "split"],

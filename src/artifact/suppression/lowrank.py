@@ -7,14 +7,13 @@ between two transformed descriptors is the original one plus a correction of ran
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from artifact import store
+from artifact.suppression import saved
 
 
 @dataclass(frozen=True)
@@ -42,6 +41,20 @@ class LowRankMap:
     def rank(self) -> int:
         """Number of columns k."""
         return self.left.shape[1]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the map to a file for :func:`artifact.load_transform`, whole or not at all.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from artifact import load_transform
+        >>> path = f"{tempfile.mkdtemp()}/map.npz"
+        >>> LowRankMap(np.eye(2)[:, :1], np.eye(2)[:, :1], np.zeros(1)).save(path)
+        >>> load_transform(path).transform(np.array([[1.0, 2.0]])).tolist()
+        [[0.0, 2.0]]
+        """
+        saved.write(path, "low-rank map", left=self.left, right=self.right, offset=self.offset)
 
     def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return ``left``, ``right`` and ``offset``, for evaluation as a view."""
@@ -106,25 +119,3 @@ def compose(*steps: Any) -> LowRankMap:
         offset = np.concatenate([offset, next_offset - overlap.T @ offset])
         left = np.concatenate([left, next_left], axis=1)
     return LowRankMap(left, right, offset)
-
-
-def save(transform: Any, path: Path, inputs: Mapping[str, Any]) -> None:
-    """Store a low-rank transform with a sidecar that records what it was fitted on.
-
-    Parameters
-    ----------
-    transform
-        Anything with a low-rank form.
-    path
-        Target, with the suffix ``.npz``.
-    inputs
-        What it was made from; must hold its ``key``.
-    """
-    left, right, offset = transform.low_rank()
-    store.save_arrays(path, {"left": left, "right": right, "offset": offset}, inputs)
-
-
-def load(path: Path, key: str) -> LowRankMap | None:
-    """Read a transform whose sidecar holds ``key``; ``None`` if there is none."""
-    arrays = store.load_arrays(path, key)
-    return None if arrays is None else LowRankMap(arrays["left"], arrays["right"], arrays["offset"])

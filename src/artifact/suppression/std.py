@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
+from artifact.suppression import saved
 from artifact.suppression.samples import checked_fit
 
 _BLOCK = 2**22  # values that are standardised at a time
@@ -49,6 +52,11 @@ class STD(BaseEstimator):
         flat = deviation <= self.epsilon * deviation.max(axis=1, keepdims=True)
         self.scale_ = np.where(flat, 1.0, deviation)
         return self
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the fitted transform to a file for :func:`artifact.load_transform`, whole or not at all."""
+        check_is_fitted(self)
+        saved.write(path, "std", conditions=self.conditions_, mean=self.mean_, scale=self.scale_)
 
     def transform(self, X: np.ndarray, condition: np.ndarray | int, *, copy: bool = True) -> np.ndarray:
         """Standardise descriptors ``(n, d)`` by their conditions, ``(n,)`` or one for all; the dtype is kept.
