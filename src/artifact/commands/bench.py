@@ -56,7 +56,7 @@ def ranking_lines(n_queries: int, n_database: int, dimension: int) -> Iterator[s
         f"ranking {n_queries} queries, {n_database} database images, d = {dimension}: {pass_seconds:.2f} s, bare "
         f"product {bare:.2f} s, ratio {pass_seconds / bare:.2f}; extra memory {extra:.0f} MiB; "
         f"R@1 {results[0].recall():.3f}, DAR@1 {results[0].dar():.3f}, "
-        f"{results[0].distractor_counts.beaters.mean():.0f} distractors above the best positive on average"
+        f"{results[0].distractor_counts.outranking.mean():.0f} distractors above the best positive on average"
     )
 
 

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from artifact.metrics.evaluation import QUERY_POOL, Evaluation, _is_integer
+from artifact.metrics.evaluation import Evaluation
+from artifact.metrics.result import QUERY_POOL, is_integer
 from artifact.ranking.one_pass import ImageSet, LowRank, Options, Similarity, rank, squared_norms
 
 _UNIT_TOLERANCE = 1e-3
@@ -45,7 +46,7 @@ def evaluate(
         distractor. Same unit as the positions.
     distractors, distractor_positions
         Distractor pool, or several by name. ``None`` takes the evaluated queries themselves, the paper's main
-        setting.
+        setting; ``{}`` takes none, so that DAR@K equals R@K.
     views
         Suppression transforms to evaluate in the same pass, by name.
     similarity
@@ -81,20 +82,24 @@ def evaluate(
     >>> result = evaluate(day, night, where, where, threshold=25)
     >>> result.recall(1), result.dar(1), result.rsr(1), result.dar(2)
     (1.0, 0.0, 0.0, 1.0)
+    >>> evaluate(day, night, where, where, threshold=25, distractors={}).dar(1)
+    1.0
+    >>> result.per_query()[["query", "rank", "rank_with_distractors", "best_positive"]]
+       query  rank  rank_with_distractors  best_positive
+    0      0     1                      2              0
+    1      1     1                      2              1
     """
     options = _checked(Options(similarity, depth, draws, retrieve, view_sweeps, seed, memory, device))
     threshold = _checked_threshold(threshold)
     query_set = _image_set("queries", queries, query_positions, similarity)
     database_set = _image_set("database", database, database_positions, similarity)
     _same_width(("queries", query_set), ("database", database_set))
-    pools: dict[str, ImageSet | None] = {}
-    for name, (images, positions) in _named_pools(distractors, distractor_positions).items():
-        pools[name] = None if images is None else _image_set(f"distractors {name!r}", images, positions, similarity)
-        if pools[name] is not None:
-            _same_width(("queries", query_set), (f"distractors {name!r}", pools[name]))
+    pools = _pools(distractors, distractor_positions, query_set, similarity)
     ranking = rank(query_set, database_set, threshold, pools, views, options)
     evaluated = query_set.positions[ranking.evaluated]
     return Evaluation(
+        evaluated=ranking.evaluated,
+        n_listed=len(query_set),
         ranking=ranking,
         query_positions=evaluated,
         database_positions=database_set.positions,
@@ -109,30 +114,38 @@ def _checked(options: Options) -> Options:
         raise ValueError(f"similarity is {options.similarity!r}; allowed: 'cosine', 'l2', 'dot'")
     for name, lowest in {"depth": 1, "draws": 0, "retrieve": 0, "seed": 0, "memory": 2**20}.items():
         value = getattr(options, name)
-        if not _is_integer(value) or value < lowest:
+        if not is_integer(value) or value < lowest:
             raise ValueError(f"{name} is {value!r}; allowed: whole numbers from {lowest}")
     if not isinstance(options.view_sweeps, bool):
         raise TypeError(f"view_sweeps is {options.view_sweeps!r}; allowed: True, False")
     return options
 
 
-def _named_pools(distractors: Any, positions: Any) -> dict[str, tuple[Any, Any]]:
+def _pools(distractors: Any, positions: Any, queries: ImageSet, similarity: Similarity) -> dict[str, ImageSet | None]:
     if distractors is None:
         if positions is not None:
             raise ValueError("distractor_positions are given without distractors")
-        return {QUERY_POOL: (None, None)}
+        return {QUERY_POOL: None}
+    named = isinstance(distractors, Mapping)
+    if named and not distractors and (positions is None or positions == {}):
+        return {"none": ImageSet(queries.descriptors[:0], queries.positions[:0])}
     if positions is None:
         raise ValueError("distractors are given without distractor_positions")
-    if isinstance(distractors, Mapping) != isinstance(positions, Mapping):
+    if named != isinstance(positions, Mapping):
         raise TypeError("distractors and distractor_positions must both be arrays or both be mappings by name")
-    if not isinstance(distractors, Mapping):
-        return {"distractors": (distractors, positions)}
-    if not distractors or set(distractors) != set(positions):
+    if not named:
+        distractors, positions = {"distractors": distractors}, {"distractors": positions}
+    if set(distractors) != set(positions):
         raise ValueError(
             f"distractors are named {sorted(distractors)}, distractor_positions {sorted(positions)}; "
-            f"both need the same names, at least one"
+            f"both need the same names"
         )
-    return {name: (distractors[name], positions[name]) for name in distractors}
+    pools: dict[str, ImageSet | None] = {}
+    for name, images in distractors.items():
+        pool = _image_set(f"distractors {name!r}", images, positions[name], similarity)
+        _same_width(("queries", queries), (f"distractors {name!r}", pool))
+        pools[name] = pool
+    return pools
 
 
 def _image_set(name: str, descriptors: Any, positions: Any, similarity: str) -> ImageSet:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import kendalltau
 
-from artifact.metrics.evaluation import Evaluation
+from artifact.metrics.result import Result
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def resamples(n: int, block: int, count: int, seed: int) -> np.ndarray:
 
 
 def intervals(
-    result: Evaluation, k: int = 1, *, confidence: float = 0.95, count: int = 1000, seed: int = 0
+    result: Result, k: int = 1, *, confidence: float = 0.95, count: int = 1000, seed: int = 0
 ) -> dict[str, Interval]:
     """Return bootstrap intervals of R@K, DAR@K and RSR@K, as fractions.
 

@@ -123,7 +123,7 @@ class _StepsBuilder:
 def rank_of_best(kind, second, against):
     """Rank of the best positive among candidates in first-stage order; 0 if there is none.
 
-    Candidates level with it count when they stand before it, or all if ties go against the query.
+    Equal ones count when they stand before it, or all if ties go against the query.
     """
     best = -1
     for place in range(kind.size):
@@ -134,8 +134,8 @@ def rank_of_best(kind, second, against):
     rank = 1
     for place in range(kind.size):
         if kind[place] != POSITIVE:
-            level = second[place] == second[best] and (against or place < best)
-            rank += second[place] > second[best] or level
+            equal = second[place] == second[best] and (against or place < best)
+            rank += second[place] > second[best] or equal
     return rank
 
 

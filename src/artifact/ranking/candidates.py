@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from artifact.datasets.positives import positives_of
-from artifact.ranking.one_pass import squared_norms
+from artifact.ranking.one_pass import evaluated_queries, squared_norms
 
 Scores = Callable[[Any, np.ndarray, Any, np.ndarray], np.ndarray]
 """Second stage: ``(queries, query rows, images, image rows)`` to ``(p,)`` scores, larger is better."""
@@ -138,14 +137,7 @@ class Problem:
         ValueError
             If there is none.
         """
-        starts, positives = positives_of(queries.positions, database.positions, threshold)
-        evaluated = np.flatnonzero(np.diff(starts))
-        if evaluated.size == 0:
-            raise ValueError(
-                f"none of the {len(queries)} queries has a database image within the threshold {threshold:g}; "
-                f"check that both positions use the same coordinates and that the threshold is in their unit"
-            )
-        starts = np.concatenate([[0], np.cumsum(np.diff(starts)[evaluated])])
+        evaluated, starts, positives = evaluated_queries(queries.positions, database.positions, threshold)
         return cls(queries.take(evaluated), evaluated, database, starts, positives, threshold, candidates)
 
 
@@ -217,10 +209,10 @@ def _from_database(problem: Problem, query: int, similarity: np.ndarray) -> Entr
     others = np.ones(len(similarity), bool)
     others[positives] = False
     positives, others = _leading(similarity, positives, n), _leading(similarity, np.flatnonzero(others), n)
-    levels, other_levels = similarity[positives], similarity[others]
+    similarities, of_others = similarity[positives], similarity[others]
     # Positives lead their equals if ties favour the query, and come last if not.
-    positives = positives[np.arange(len(positives)) + _above(other_levels, levels) < n]
-    others = others[np.arange(len(others)) + _above(levels, other_levels) < n]
+    positives = positives[np.arange(len(positives)) + _above(of_others, similarities) < n]
+    others = others[np.arange(len(others)) + _above(similarities, of_others) < n]
     kind = np.repeat(np.array([POSITIVE, DATABASE], np.int8), [len(positives), len(others)])
     index = np.concatenate([positives, others])
     keys = np.zeros((len(index), 0))
@@ -237,8 +229,12 @@ def _from_pool(
     floor = others[n - 1] if len(others) >= n else np.float32(-np.inf)
     members = np.flatnonzero((apart > problem.threshold) & (similarity > floor))
     members = _leading(similarity, members, n if orders is None else len(members))
-    levels = similarity[members]
-    before = len(others) - np.searchsorted(others[::-1], levels) + _above(near.first[near.kind == POSITIVE], levels)
+    similarities = similarity[members]
+    before = (
+        len(others)
+        - np.searchsorted(others[::-1], similarities)
+        + _above(near.first[near.kind == POSITIVE], similarities)
+    )
     if orders is None:
         keys = np.zeros((len(members), 0))
         members = members[np.arange(len(members)) + before < n]
@@ -258,9 +254,9 @@ def _leading(similarity: np.ndarray, members: np.ndarray, n: int) -> np.ndarray:
     return members[np.argsort(-similarity[members], kind="stable")[:n]]
 
 
-def _above(descending: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """Return how many of some descending values are strictly above each level."""
-    return len(descending) - np.searchsorted(descending[::-1], levels, side="right")
+def _above(descending: np.ndarray, similarities: np.ndarray) -> np.ndarray:
+    """Return how many of some descending values are strictly above each."""
+    return len(descending) - np.searchsorted(descending[::-1], similarities, side="right")
 
 
 @njit(nogil=True, cache=True)

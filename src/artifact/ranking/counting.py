@@ -1,6 +1,6 @@
-"""Counting in one tile of similarities: how many database images and distractors beat the best positive.
+"""Counting in one tile of similarities: how many database images and distractors outrank the best positive.
 
-Counting replaces sorting: a query is a hit at K exactly when fewer than K images beat its best positive. The
+Counting replaces sorting: a query is a hit at K exactly when fewer than K images outrank its best positive. The
 kernels below read each similarity once. They are compiled by Numba for the CPU and written again in PyTorch for
 other devices; the tests hold both against a literal sort.
 
@@ -53,21 +53,22 @@ class Counts(NamedTuple):
 
     Attributes
     ----------
-    best
-        ``(n,)`` float32, similarity of the best positive.
-    beaters, ties
+    best, best_index
+        ``(n,)`` float32 similarity, up to a factor of the query, and int64 database index of the best positive.
+    outranking, ties
         ``(n,)`` int64, images strictly above ``best`` and, among the others that are not positives, equal to it.
     farthest
-        ``(n, depth)`` float64, distances of the farthest beaters, descending; ``-inf`` where there are fewer.
+        ``(n, depth)`` float64, distances of the farthest outranking images, descending; ``-inf`` where there are fewer.
     first
-        ``(n, depth, draws)`` int32, smallest places of the beaters in each random order, ascending; the largest
+        ``(n, depth, draws)`` int32, smallest places of the outranking images in each random order, ascending; the largest
         int32 where there are fewer.
     top_similarity, top_index
         ``(n, k)`` the most similar images, descending; ``-inf`` and -1 where there are fewer.
     """
 
     best: np.ndarray
-    beaters: np.ndarray
+    best_index: np.ndarray
+    outranking: np.ndarray
     ties: np.ndarray
     farthest: np.ndarray
     first: np.ndarray
@@ -79,7 +80,8 @@ class Counts(NamedTuple):
         """Return counts of nothing for ``n`` queries."""
         return cls(
             best=np.full(n, -np.inf, np.float32),
-            beaters=np.zeros(n, np.int64),
+            best_index=np.full(n, -1, np.int64),
+            outranking=np.zeros(n, np.int64),
             ties=np.zeros(n, np.int64),
             farthest=np.full((n, depth), -np.inf),
             first=np.full((n, depth, draws), np.iinfo(np.int32).max, np.int32),
@@ -138,13 +140,13 @@ def _similarities(row, correction, scale, bias, out):
 
 @njit(nogil=True, cache=True)
 def database_rows(tile, groups, counts):
-    """Find the best positive of each row and count the columns above it and level with it.
+    """Find the best positive of each row and count the columns above it and equal to it.
 
     The tile holds every database image of its rows; ``groups`` are the positives.
     """
     values, correction, scale, bias, offset, _ = tile
     starts, positives = groups
-    best, beaters, ties = counts.best, counts.beaters, counts.ties
+    best, outranking, ties = counts.best, counts.outranking, counts.ties
     top_similarity, top_index = counts.top_similarity, counts.top_index
     columns = values.shape[1]
     similarity = np.empty(columns, np.float32)
@@ -153,16 +155,18 @@ def database_rows(tile, groups, counts):
     for row in range(values.shape[0]):
         _similarities(values[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
         query = offset + row
-        level = np.float32(-np.inf)
+        positive = np.float32(-np.inf)
         for entry in range(starts[query], starts[query + 1]):
-            level = max(level, similarity[positives[entry]])
+            if similarity[positives[entry]] > positive:
+                positive = similarity[positives[entry]]
+                counts.best_index[query] = positives[entry]
         above, equal = 0, 0
         for column in range(columns):
-            above += similarity[column] > level
-            equal += similarity[column] == level
+            above += similarity[column] > positive
+            equal += similarity[column] == positive
         for entry in range(starts[query], starts[query + 1]):
-            equal -= similarity[positives[entry]] == level
-        best[query], beaters[query], ties[query] = level, above, equal
+            equal -= similarity[positives[entry]] == positive
+        best[query], outranking[query], ties[query] = positive, above, equal
         if top:
             for column in range(columns):
                 if similarity[column] > top_similarity[query, top - 1]:
@@ -178,24 +182,24 @@ def pool_counts(tile, groups, counts):
     """
     values, correction, scale, bias, offset, first_column = tile
     starts, near = groups
-    best, beaters, ties = counts.best, counts.beaters, counts.ties
+    best, outranking, ties = counts.best, counts.outranking, counts.ties
     columns = values.shape[1]
     similarity = np.empty(columns, np.float32)
     nothing = np.empty(0, np.float32)
     for row in range(values.shape[0]):
         _similarities(values[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
         query = offset + row
-        level = best[query]
+        positive = best[query]
         above, equal = 0, 0
         for column in range(columns):
-            above += similarity[column] > level
-            equal += similarity[column] == level
+            above += similarity[column] > positive
+            equal += similarity[column] == positive
         for entry in range(starts[query], starts[query + 1]):
             column = near[entry] - first_column
             if 0 <= column < columns:
-                above -= similarity[column] > level
-                equal -= similarity[column] == level
-        beaters[query] += above
+                above -= similarity[column] > positive
+                equal -= similarity[column] == positive
+        outranking[query] += above
         ties[query] += equal
 
 
@@ -214,7 +218,7 @@ def _distances(here, pool_positions, begin, out):
 
 @njit(nogil=True, cache=True)
 def pool_rows(tile, places, orders, earliest, counts):
-    """Count the allowed distractors of a tile that beat, or are level with, each row's best positive.
+    """Count the allowed distractors of a tile that outrank, or are as similar as, each row's best positive.
 
     ``orders`` is ``(pool, draws)``: the place of each pool image in each random order, and ``earliest`` its smallest
     place. Columns go by in chunks: the loops over a chunk have no branches, and only a chunk that changes a list is
@@ -222,7 +226,7 @@ def pool_rows(tile, places, orders, earliest, counts):
     """
     matrix, correction, scale, bias, offset, first_column = tile
     positions, pool_positions, threshold = places
-    best, beaters, ties, farthest, first, top_similarity, top_index = counts
+    best, _, outranking, ties, farthest, first, top_similarity, top_index = counts
     columns = matrix.shape[1]
     similarity = np.empty(columns, np.float32)
     nothing = np.empty(0, np.float32)
@@ -231,8 +235,8 @@ def pool_rows(tile, places, orders, earliest, counts):
     for row in range(matrix.shape[0]):
         _similarities(matrix[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
         query = offset + row
-        level = best[query]
-        floor = min(level, top_similarity[query, top - 1]) if top else level
+        positive = best[query]
+        floor = min(positive, top_similarity[query, top - 1]) if top else positive
         reached = 0
         for column in range(columns):
             reached += similarity[column] >= floor
@@ -254,24 +258,24 @@ def pool_rows(tile, places, orders, earliest, counts):
             shown = top_similarity[query, top - 1] if top else np.float32(np.inf)
             for place in range(values.size):
                 allowed = apart[place] > threshold
-                beats = allowed & (values[place] > level)
-                above += beats
-                equal += allowed & (values[place] == level)
-                farther += beats & (apart[place] > limit)
-                earlier += beats & (earliest[image + place] < latest)
+                outranks = allowed & (values[place] > positive)
+                above += outranks
+                equal += allowed & (values[place] == positive)
+                farther += outranks & (apart[place] > limit)
+                earlier += outranks & (earliest[image + place] < latest)
                 higher += allowed & (values[place] > shown)
-            beaters[query] += above
+            outranking[query] += above
             ties[query] += equal
             if farther:
                 for place in range(values.size):
-                    if values[place] > level and apart[place] > max(threshold, farthest[query, depth - 1]):
+                    if values[place] > positive and apart[place] > max(threshold, farthest[query, depth - 1]):
                         _insert_distance(farthest[query], apart[place])
             if earlier:
                 for place in range(values.size):
-                    if values[place] > level and apart[place] > threshold and earliest[image + place] < latest:
+                    if values[place] > positive and apart[place] > threshold and earliest[image + place] < latest:
                         _insert_places(first[query], orders[image + place])
             if higher:
                 for place in range(values.size):
                     if apart[place] > threshold and values[place] > top_similarity[query, top - 1]:
                         _insert_descending(top_similarity[query], top_index[query], values[place], image + place)
-                floor = min(level, top_similarity[query, top - 1])
+                floor = min(positive, top_similarity[query, top - 1])

@@ -91,13 +91,16 @@ def database_rows(similarity: torch.Tensor, offset: int, groups: Groups, counts:
     lengths = np.diff(starts[offset : offset + similarity.shape[0] + 1])
     owner = torch.from_numpy(np.repeat(np.arange(similarity.shape[0]), lengths)).to(similarity.device)
     values = similarity[owner, torch.from_numpy(entries).to(similarity.device)]
-    level = torch.full((similarity.shape[0],), -torch.inf, device=similarity.device).scatter_reduce_(
+    best = torch.full((similarity.shape[0],), -torch.inf, device=similarity.device).scatter_reduce_(
         0, owner, values, "amax"
     )
-    equal = (similarity == level[:, None]).sum(1)
-    equal -= torch.zeros_like(equal).scatter_add_(0, owner, (values == level[owner]).to(equal.dtype))
-    counts.best[rows] = level.cpu().numpy()
-    counts.beaters[rows] = (similarity > level[:, None]).sum(1).cpu().numpy()
+    equal = (similarity == best[:, None]).sum(1)
+    equal -= torch.zeros_like(equal).scatter_add_(0, owner, (values == best[owner]).to(equal.dtype))
+    counts.best[rows] = best.cpu().numpy()
+    found = np.flatnonzero((values == best[owner]).cpu().numpy())
+    first = found[np.unique(owner.cpu().numpy()[found], return_index=True)[1]]
+    counts.best_index[rows] = entries[first]
+    counts.outranking[rows] = (similarity > best[:, None]).sum(1).cpu().numpy()
     counts.ties[rows] = equal.cpu().numpy()
     _merge_top(counts, rows, similarity, 0)
 
@@ -110,22 +113,22 @@ def pool_rows(
     columns = slice(first_column, first_column + similarity.shape[1])
     here, there = (torch.from_numpy(p).to(similarity.device) for p in (places.queries[rows], places.pool[columns]))
     placed = torch.from_numpy(orders[columns]).to(similarity.device)
-    level = torch.from_numpy(counts.best[rows]).to(similarity.device)[:, None]
+    best = torch.from_numpy(counts.best[rows]).to(similarity.device)[:, None]
     squared = torch.zeros(similarity.shape, dtype=torch.float64, device=similarity.device)
     for axis in range(here.shape[1]):
         difference = here[:, axis, None] - there[None, :, axis]
         squared += difference * difference
     distance = squared.sqrt_()
     allowed = distance > places.threshold
-    beats = allowed & (similarity > level)
-    counts.beaters[rows] += beats.sum(1).cpu().numpy()
-    counts.ties[rows] += (allowed & (similarity == level)).sum(1).cpu().numpy()
+    outranks = allowed & (similarity > best)
+    counts.outranking[rows] += outranks.sum(1).cpu().numpy()
+    counts.ties[rows] += (allowed & (similarity == best)).sum(1).cpu().numpy()
     depth = min(counts.farthest.shape[1], similarity.shape[1])
-    found = distance.masked_fill_(~beats, -torch.inf).topk(depth, dim=1).values.cpu().numpy()
+    found = distance.masked_fill_(~outranks, -torch.inf).topk(depth, dim=1).values.cpu().numpy()
     merged = np.concatenate([counts.farthest[rows], found], axis=1)
     counts.farthest[rows] = -np.sort(-merged, axis=1)[:, : counts.farthest.shape[1]]
     for draw in range(counts.first.shape[2]):
-        drawn = placed[:, draw].expand_as(similarity).masked_fill(~beats, np.iinfo(np.int32).max)
+        drawn = placed[:, draw].expand_as(similarity).masked_fill(~outranks, np.iinfo(np.int32).max)
         found = drawn.topk(depth, dim=1, largest=False).values.cpu().numpy()
         merged = np.concatenate([counts.first[rows, :, draw], found], axis=1)
         counts.first[rows, :, draw] = np.sort(merged, axis=1)[:, : counts.first.shape[1]]

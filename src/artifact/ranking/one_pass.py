@@ -23,7 +23,7 @@ from artifact.ranking.engines import Engine, engine_for
 Similarity = Literal["cosine", "dot", "l2"]
 
 ORIGINAL = "original"
-REVISION = 1  # raise when any count changes: it is part of the key of stored rankings
+REVISION = 2  # raise when any count changes: it is part of the key of stored rankings
 
 _TILE_SIDE = 1024
 _LARGEST_ROWS = 2048
@@ -91,22 +91,18 @@ class Ranking:
     ----------
     evaluated
         ``(n,)`` indices of the queries that have a positive; all per-query arrays follow this order.
-    n_listed, n_database
-        Number of queries given, and of database images.
-    pool_sizes
-        Number of images in each distractor pool.
     database
         Counts over the database, by view.
     pools
         Counts over the allowed distractors, by view and pool.
+    similarity
+        ``(n,)`` float32 similarity of each query and its best positive, by view.
     """
 
     evaluated: np.ndarray
-    n_listed: int
-    n_database: int
-    pool_sizes: dict[str, int]
     database: dict[str, Counts]
     pools: dict[tuple[str, str], Counts]
+    similarity: dict[str, np.ndarray]
 
 
 def rank(
@@ -144,55 +140,60 @@ def rank(
         If no query has a positive.
     """
     options = options or Options()
-    n_listed = len(queries)
-    starts, positives = positives_of(queries.positions, database.positions, threshold)
-    evaluated = np.flatnonzero(np.diff(starts))
-    if evaluated.size == 0:
-        raise ValueError(
-            f"none of the {n_listed} queries has a database image within the threshold {threshold:g}; "
-            f"check that both positions use the same coordinates and that the threshold is in their unit"
-        )
-    if evaluated.size < n_listed:
+    evaluated, starts, positives = evaluated_queries(queries.positions, database.positions, threshold)
+    if evaluated.size < len(queries):
         queries = ImageSet(queries.descriptors[evaluated], queries.positions[evaluated])
-        starts = np.concatenate([[0], np.cumsum(np.diff(starts)[evaluated])])
-    transforms = {ORIGINAL: None, **(views or {})}
+    transforms: dict[str, LowRank | None] = {ORIGINAL: None, **(views or {})}
+    factors = _factors(queries, transforms, options.similarity)
     with engine_for(options.device) as engine:
-        run = _Pass(
-            engine,
-            queries,
-            _readings(queries, transforms, options.similarity),
-            threshold,
-            transforms,
-            options,
-        )
+        run = _Pass(engine, queries, factors, threshold, transforms, options)
         in_database = run.over_database(database, starts, positives)
         best = {view: counts.best for view, counts in in_database.items()}
         in_pools = {name: run.over_pool(queries if pool is None else pool, best) for name, pool in pools.items()}
     return Ranking(
         evaluated=evaluated,
-        n_listed=n_listed,
-        n_database=len(database),
-        pool_sizes={name: len(queries if pool is None else pool) for name, pool in pools.items()},
         database=in_database,
         pools={(view, name): counts[view] for name, counts in in_pools.items() for view in transforms},
+        similarity={view: factors[view].similarity(best[view], options.similarity) for view in transforms},
     )
 
 
+def evaluated_queries(
+    queries: np.ndarray, database: np.ndarray, threshold: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return which queries have a positive, and their positives: those of the i-th are ``[starts[i]:starts[i + 1]]``.
+
+    Raises ``ValueError`` if there is none.
+    """
+    starts, positives = positives_of(queries, database, threshold)
+    evaluated = np.flatnonzero(np.diff(starts))
+    if evaluated.size == 0:
+        raise ValueError(
+            f"none of the {len(queries)} queries has a database image within the threshold {threshold:g}; "
+            f"check that both positions use the same coordinates and that the threshold is in their unit"
+        )
+    return evaluated, np.concatenate([[0], np.cumsum(np.diff(starts)[evaluated])]), positives
+
+
 @dataclass(frozen=True)
-class _Reading:
-    """How one view reads an image set: as rows, and as columns ``(tile - left @ right.T) * scale + bias``."""
+class _Factors:
+    """An image set in one view: as rows, and as columns ``(tile - left @ right.T) * scale + bias``."""
 
     left: np.ndarray
     right: np.ndarray
     scale: np.ndarray
     bias: np.ndarray
 
+    def similarity(self, best: np.ndarray, kind: Similarity) -> np.ndarray:
+        """Complete similarities with these rows, which lack what is the same for all columns."""
+        return best * self.scale if kind == "cosine" else best + self.bias
+
 
 @dataclass(frozen=True)
 class _Pass:
     engine: Engine
     queries: ImageSet
-    rows: Mapping[str, _Reading]
+    rows: Mapping[str, _Factors]
     threshold: float
     transforms: Mapping[str, LowRank | None]
     options: Options
@@ -200,7 +201,7 @@ class _Pass:
     def over_database(self, database: ImageSet, starts: np.ndarray, positives: np.ndarray) -> dict[str, Counts]:
         """Multiply blocks of queries with the whole database: best positives, and the images above them."""
         options, n = self.options, len(self.queries)
-        columns = _readings(database, self.transforms, options.similarity)
+        columns = _factors(database, self.transforms, options.similarity)
         counts = {view: Counts.empty(n, options.depth, 0, options.retrieve) for view in self.transforms}
         copies = 2 if len(self.transforms) > 1 else 1
         # Every view reads the tile again: a smaller one stays nearer to the processor.
@@ -218,7 +219,7 @@ class _Pass:
         """Count the allowed distractors of one pool above each query's best positive."""
         options, n = self.options, len(self.queries)
         own = pool is self.queries
-        columns = self.rows if own else _readings(pool, self.transforms, options.similarity)
+        columns = self.rows if own else _factors(pool, self.transforms, options.similarity)
         bare = {view for view in self.transforms if view != ORIGINAL and not (options.view_sweeps or options.retrieve)}
         counts = {
             view: Counts.empty(n, 0, 0, 0)
@@ -249,16 +250,16 @@ class _Pass:
         return counts
 
 
-def _readings(
+def _factors(
     images: ImageSet, transforms: Mapping[str, LowRank | None], similarity: Similarity
-) -> dict[str, _Reading]:  # fmt: skip
+) -> dict[str, _Factors]:  # fmt: skip
     """Project an image set once for all views; norms turn dot products into the chosen similarity.
 
     With ``a = right.T x - offset``, ``u = left.T x`` and ``G = left.T left``, the transformed dot product is
     ``q'c' = qc - a_q u_c - (u_q - G a_q) a_c``. For an orthogonal projection the last term vanishes.
     """
     squared = squared_norms(images.descriptors)
-    readings = {}
+    factors = {}
     bases = {view: [np.asarray(part, np.float32) for part in t.low_rank()] for view, t in transforms.items() if t}
     projected = _project(images.descriptors, [part for left, right, _ in bases.values() for part in (left, right)])
     for view in transforms:
@@ -275,8 +276,8 @@ def _readings(
             if a.size and np.abs(remainder).max() <= _NEGLIGIBLE * max(np.abs(a).max(), np.abs(u).max()):
                 left_factor, right_factor = np.ascontiguousarray(a), np.ascontiguousarray(u)
         norms = np.maximum(squared + change, 0.0)
-        readings[view] = _Reading(_padded(left_factor), _padded(right_factor), *_scale_and_bias(norms, similarity))
-    return readings
+        factors[view] = _Factors(_padded(left_factor), _padded(right_factor), *_scale_and_bias(norms, similarity))
+    return factors
 
 
 def _padded(factor: np.ndarray) -> np.ndarray:
