@@ -194,9 +194,8 @@ def test_sweeps_end_at_recall_and_dar():
 
 @pytest.mark.parametrize("positions", [None, {}])
 def test_no_distractors_at_all_is_the_recall(positions):
-    case = random_case(17)
-    place = case.query_positions, case.database_positions, case.threshold
-    result = evaluate(case.queries, case.database, *place, {}, positions, retrieve=2)
+    case = random_case(0)
+    result = evaluate(case.queries, case.database, *_positions(case), {}, positions, retrieve=2)
     assert (result.pools, result.n_distractors) == (["none"], 0)
     np.testing.assert_array_equal(result.ranks(distractors=True), ranks(case, with_distractors=False))
     assert run(case).dar() < result.dar() == result.recall()
