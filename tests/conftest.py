@@ -14,14 +14,15 @@ from PIL import Image
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
-THUMBNAIL = {
-    "title": "Thumbnail", "kind": "baseline", "backbone": "–", "aggregation": "thumbnail", "dimension": 512, "batch_size": 4,
-    "preprocessing": {"resize": "fixed", "size": [16, 32], "colour": "grey", "mean": [0.0], "std": [1.0]},
-}  # fmt: skip
-HOG = {
-    "title": "HOG", "kind": "baseline", "backbone": "–", "aggregation": "HOG", "dimension": 108, "batch_size": 5,
-    "preprocessing": {"resize": "fixed", "size": [32, 64], "colour": "grey", "mean": [0.0], "std": [1.0]},
-}  # fmt: skip
+
+def baseline(aggregation, dimension, batch_size, size):
+    grey = {"resize": "fixed", "size": size, "colour": "grey", "mean": [0.0], "std": [1.0]}
+    names = {"title": aggregation.capitalize(), "kind": "baseline", "backbone": "–", "aggregation": aggregation}
+    return names | {"dimension": dimension, "batch_size": batch_size, "preprocessing": grey}
+
+
+THUMBNAIL = baseline("thumbnail", 512, 4, [16, 32])
+HOG = baseline("HOG", 108, 5, [32, 64]) | {"title": "HOG"}
 
 
 def write_images(folder, n, seed, *, brightness=0.0, noise=12.0, suffix=".png"):
@@ -42,16 +43,12 @@ def _tiny_manifest(datasets):
     return {
         "version": 1,
         "data_root": "data",
-        "datasets": datasets
-        or {
-            "street": {
-                "title": "Street", "kind": "folder", "threshold": {"value": 1, "unit": "frames"}, "query": "day", "database": "night",
-                "traversals": {"day": {"condition": "day"}, "night": {"condition": "night"}},
-            }
-        },
+        "datasets": datasets or {"street": STREET},
         "methods": {"thumbnail": THUMBNAIL, "hog": HOG},
-        "profiles": {"demo": {"description": "tiny", "datasets": list(datasets or ["street"]), "methods": ["thumbnail", "hog"]}},
-    }  # fmt: skip
+        "profiles": {
+            "demo": {"description": "tiny", "datasets": list(datasets or ["street"]), "methods": ["thumbnail", "hog"]}
+        },
+    }
 
 
 def write_manifest(folder, content):
@@ -92,17 +89,30 @@ def pytest_collection_modifyitems(items):
 
 
 DRIVE = {
-    "title": "Drive", "kind": "folder", "threshold": {"value": 25, "unit": "metres"}, "query": "day", "database": "night",
-    "shift": "day→night", "distractor_traversals": ["dusk", "night_2"], "same_condition_traversal": "dusk",
+    "title": "Drive",
+    "kind": "folder",
+    "threshold": {"value": 25, "unit": "metres"},
+    "query": "day",
+    "database": "night",
+    "shift": "day→night",
+    "distractor_traversals": ["dusk", "night_2"],
+    "same_condition_traversal": "dusk",
     "irrelevant_pairs": [["day", "dusk"]],
     "traversals": {
-        "day": {"condition": "day"}, "night": {"condition": "night"}, "dusk": {"condition": "dusk"}, "night_2": {"condition": "night"},
+        "day": {"condition": "day"},
+        "night": {"condition": "night"},
+        "dusk": {"condition": "dusk"},
+        "night_2": {"condition": "night"},
     },
-}  # fmt: skip
+}
 STREET = {
-    "title": "Street", "kind": "folder", "threshold": {"value": 1, "unit": "frames"}, "query": "day", "database": "night",
+    "title": "Street",
+    "kind": "folder",
+    "threshold": {"value": 1, "unit": "frames"},
+    "query": "day",
+    "database": "night",
     "traversals": {"day": {"condition": "day"}, "night": {"condition": "night"}},
-}  # fmt: skip
+}
 
 
 def artifact(project, *arguments):

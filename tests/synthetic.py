@@ -20,7 +20,7 @@ def _traversal(name, positions, folder=None):
 
 def described(
     n=120, d=64, *, push=2.0, noise=0.35, extra=("dusk",), seed=0, spacing=10.0, threshold=15.0, name="made", turn=0
-):  # fmt: skip
+):
     """Two drives past the same places; day and night differ by `push` along one direction, `turn` chooses which."""
     rng = np.random.default_rng(seed)
     positions = np.column_stack([np.arange(n) * spacing, 20 * np.sin(np.arange(n) / 9)])
@@ -28,10 +28,10 @@ def described(
     # Neighbours look alike: the code of a place is a moving average.
     code = sum(np.roll(steps, shift, axis=0) for shift in range(3)) / np.sqrt(3)
     direction = np.linalg.qr(np.random.default_rng(99).standard_normal((d, 8)))[0][:, turn]
-    sides = {"day": 1.0, "night": -1.0, "dusk": 0.9, "night_2": -1.0}
+    shares = {"day": 1.0, "night": -1.0, "dusk": 0.9, "night_2": -1.0}
     found, traversals = {}, {}
     for traversal in ("day", "night", *extra):
-        values = code + noise * rng.standard_normal((n, d)) + sides[traversal] * push * np.sqrt(d) * direction
+        values = code + noise * rng.standard_normal((n, d)) + shares[traversal] * push * np.sqrt(d) * direction
         values = (values / np.linalg.norm(values, axis=1, keepdims=True)).astype(np.float32)
         found[traversal] = Descriptors(
             values, f"{name} {traversal}", f"{name} {traversal} {push} {seed} {n}", "images", {}
@@ -57,9 +57,13 @@ def manifest(folder, *datasets):
             irrelevant_pairs=[["day", "dusk"]] if "dusk" in names else [],
         )
     method = MethodEntry(
-        title="Coded", kind="baseline", backbone="–", aggregation="–", dimension=64,
+        title="Coded",
+        kind="baseline",
+        backbone="–",
+        aggregation="–",
+        dimension=64,
         preprocessing={"resize": "fixed", "size": [8, 8]},
-    )  # fmt: skip
+    )
     return Manifest(folder / "data_manifest.yaml", folder, entries, {METHOD: method}, {})
 
 

@@ -39,16 +39,27 @@ def random_case(seed):
         threshold = float(rng.choice([5.0, 5 * np.sqrt(2), 10.0]))
     own_pool = rng.random() < 0.5
     return Case(
-        descriptors(n_queries), descriptors(n_database), place(n_queries), place(n_database), threshold,
-        None if own_pool else descriptors(n_pool), None if own_pool else place(n_pool),
-    )  # fmt: skip
+        descriptors(n_queries),
+        descriptors(n_database),
+        place(n_queries),
+        place(n_database),
+        threshold,
+        None if own_pool else descriptors(n_pool),
+        None if own_pool else place(n_pool),
+    )
 
 
 def run(case, **options):
     return evaluate(
-        case.queries, case.database, case.query_positions, case.database_positions, case.threshold,
-        case.pool, case.pool_positions, **options,
-    )  # fmt: skip
+        case.queries,
+        case.database,
+        case.query_positions,
+        case.database_positions,
+        case.threshold,
+        case.pool,
+        case.pool_positions,
+        **options,
+    )
 
 
 def with_tiles_of(monkeypatch, side):
@@ -144,8 +155,8 @@ def test_similarities_rank_as_defined(kind):
 
 
 def test_cosine_ignores_length_and_half_precision_is_read_exactly():
-    case = Case(*(np.random.default_rng(1).standard_normal(s).astype(np.float16) for s in ((30, 8), (40, 8))),
-                np.arange(30.0)[:, None], np.arange(40.0)[:, None], 2.0)  # fmt: skip
+    queries, database = (np.random.default_rng(n).standard_normal((n, 8)).astype(np.float16) for n in (30, 40))
+    case = Case(queries, database, np.arange(30.0)[:, None], np.arange(40.0)[:, None], 2.0)
     wide = Case(case.queries.astype(np.float32), 4 * case.database.astype(np.float32), *_positions(case))
     np.testing.assert_array_equal(run(case).ranks(distractors=True), run(wide).ranks(distractors=True))
 
@@ -160,9 +171,12 @@ def test_expected_number_sweep_is_the_mean_over_all_subsets():
 
     rng = np.random.default_rng(11)
     case = Case(
-        rng.standard_normal((6, 3)).astype(np.float32), rng.standard_normal((6, 3)).astype(np.float32),
-        np.arange(6.0)[:, None], np.arange(6.0)[:, None], 0.0,
-    )  # fmt: skip
+        rng.standard_normal((6, 3)).astype(np.float32),
+        rng.standard_normal((6, 3)).astype(np.float32),
+        np.arange(6.0)[:, None],
+        np.arange(6.0)[:, None],
+        0.0,
+    )
     result = run(case)
     for size in range(7):
         for k in (1, 2, 3):
@@ -174,9 +188,12 @@ def test_expected_number_sweep_is_the_mean_over_all_subsets():
 def test_nested_draws_average_to_the_expectation():
     rng = np.random.default_rng(3)
     case = Case(
-        rng.standard_normal((80, 6)).astype(np.float32), rng.standard_normal((80, 6)).astype(np.float32),
-        np.arange(80.0)[:, None], np.arange(80.0)[:, None], 1.0,
-    )  # fmt: skip
+        rng.standard_normal((80, 6)).astype(np.float32),
+        rng.standard_normal((80, 6)).astype(np.float32),
+        np.arange(80.0)[:, None],
+        np.arange(80.0)[:, None],
+        1.0,
+    )
     result = run(case, draws=400)
     ratios = np.linspace(0, 1, 11)
     draws = result.dar_by_ratio_draws(ratios)
@@ -212,9 +229,14 @@ def test_several_pools_share_one_pass():
     near = case.queries[::-1].copy()
     where = rng.uniform(0, 10, (len(near), case.query_positions.shape[1]))
     result = evaluate(
-        case.queries, case.database, case.query_positions, case.database_positions, case.threshold,
-        {"own": case.queries, "other": near}, {"own": case.query_positions, "other": where},
-    )  # fmt: skip
+        case.queries,
+        case.database,
+        case.query_positions,
+        case.database_positions,
+        case.threshold,
+        {"own": case.queries, "other": near},
+        {"own": case.query_positions, "other": where},
+    )
     assert result.pools == ["own", "other"]
     for name, images, positions in (("own", case.queries, case.query_positions), ("other", near, where)):
         alone = Case(case.queries, case.database, *_positions(case), images, positions)
@@ -232,9 +254,12 @@ def test_retrieval_lists_hold_the_most_similar_allowed_images(device, monkeypatc
     with_tiles_of(monkeypatch, 7)
     rng = np.random.default_rng(8)
     case = Case(
-        rng.standard_normal((40, 9)).astype(np.float32), rng.standard_normal((50, 9)).astype(np.float32),
-        rng.uniform(0, 30, (40, 2)), rng.uniform(0, 30, (50, 2)), 6.0,
-    )  # fmt: skip
+        rng.standard_normal((40, 9)).astype(np.float32),
+        rng.standard_normal((50, 9)).astype(np.float32),
+        rng.uniform(0, 30, (40, 2)),
+        rng.uniform(0, 30, (50, 2)),
+        6.0,
+    )
     result = run(case, retrieve=6)
     kept = evaluated_queries(case)
     for distractors in (False, True):
@@ -255,9 +280,12 @@ def test_retrieval_lists_hold_the_most_similar_allowed_images(device, monkeypatc
 def test_memory_budget_and_tile_size_do_not_change_the_counts(monkeypatch):
     rng = np.random.default_rng(4)
     case = Case(
-        rng.standard_normal((300, 32)).astype(np.float32), rng.standard_normal((200, 32)).astype(np.float32),
-        rng.uniform(0, 100, (300, 2)), rng.uniform(0, 100, (200, 2)), 12.0,
-    )  # fmt: skip
+        rng.standard_normal((300, 32)).astype(np.float32),
+        rng.standard_normal((200, 32)).astype(np.float32),
+        rng.uniform(0, 100, (300, 2)),
+        rng.uniform(0, 100, (200, 2)),
+        12.0,
+    )
     reference = run(case)
     with_tiles_of(monkeypatch, 37)
     other = run(case)
@@ -266,9 +294,12 @@ def test_memory_budget_and_tile_size_do_not_change_the_counts(monkeypatch):
 
 
 GOOD = {
-    "queries": np.eye(3, dtype=np.float32), "database": np.eye(3, dtype=np.float32),
-    "query_positions": np.arange(3.0), "database_positions": np.arange(3.0), "threshold": 0.0,
-}  # fmt: skip
+    "queries": np.eye(3, dtype=np.float32),
+    "database": np.eye(3, dtype=np.float32),
+    "query_positions": np.arange(3.0),
+    "database_positions": np.arange(3.0),
+    "threshold": 0.0,
+}
 
 
 @pytest.mark.parametrize(
@@ -294,7 +325,7 @@ GOOD = {
         ({"retrieve": -1}, ValueError, "retrieve is -1; allowed: whole numbers from 0"),
         ({"colour": 1}, TypeError, "unexpected keyword argument 'colour'"),
     ],
-)  # fmt: skip
+)
 def test_bad_input_is_named(change, error, message):
     with pytest.raises(error, match=message):
         evaluate(**{**GOOD, **change})

@@ -64,10 +64,16 @@ def random_case(seed, largest=14):
     values = rng.choice([2, 4, 1000])
     n_pool = n_queries if own else n_pool
     return Case(
-        images(n_queries), images(n_database), place(n_queries), place(n_database), float(rng.choice([0.0, 5.0, 10.0])),
-        rng.integers(0, values, (n_queries, n_database)), None if own else images(n_pool),
-        None if own else place(n_pool), rng.integers(0, values, (n_queries, n_pool)),
-    )  # fmt: skip
+        images(n_queries),
+        images(n_database),
+        place(n_queries),
+        place(n_database),
+        float(rng.choice([0.0, 5.0, 10.0])),
+        rng.integers(0, values, (n_queries, n_database)),
+        None if own else images(n_pool),
+        None if own else place(n_pool),
+        rng.integers(0, values, (n_queries, n_pool)),
+    )
 
 
 def first_stage(query, images):
@@ -157,9 +163,13 @@ def run(case, scores=None, **options):
 
     pools = None if case.pool is None else {"other": images("pool", case.pool, case.pool_positions)}
     return evaluate_two_stage(
-        images("queries", case.queries, case.query_positions), images("database", case.database, case.database_positions),
-        case.threshold, scores or Table(case), pools, **options,
-    )  # fmt: skip
+        images("queries", case.queries, case.query_positions),
+        images("database", case.database, case.database_positions),
+        case.threshold,
+        scores or Table(case),
+        pools,
+        **options,
+    )
 
 
 def check_against_definition(case, n):
@@ -222,10 +232,16 @@ def continuous_case(seed, n_queries=12, n_database=30, n_pool=60):
     unit = lambda n: unit_features(rng, n, 8)  # noqa: E731
     lean = lambda n: unit(n) + np.float32(0.5)  # noqa: E731
     return Case(
-        lean(n_queries), unit(n_database), rng.uniform(0, 30, (n_queries, 2)),
-        rng.uniform(0, 30, (n_database, 2)), 8.0, rng.permutation(n_queries * n_database).reshape(n_queries, -1),
-        lean(n_pool), rng.uniform(0, 30, (n_pool, 2)), rng.permutation(n_queries * n_pool).reshape(n_queries, -1),
-    )  # fmt: skip
+        lean(n_queries),
+        unit(n_database),
+        rng.uniform(0, 30, (n_queries, 2)),
+        rng.uniform(0, 30, (n_database, 2)),
+        8.0,
+        rng.permutation(n_queries * n_database).reshape(n_queries, -1),
+        lean(n_pool),
+        rng.uniform(0, 30, (n_pool, 2)),
+        rng.permutation(n_queries * n_pool).reshape(n_queries, -1),
+    )
 
 
 def test_only_pairs_that_can_be_candidates_are_scored_and_each_once():
@@ -284,9 +300,15 @@ def test_a_second_stage_equal_to_the_first_changes_nothing_within_the_candidates
         return np.array(rows, np.float32)
 
     one = evaluate(
-        case.queries, case.database, case.query_positions, case.database_positions, case.threshold, {"other": case.pool},
-        {"other": case.pool_positions}, draws=3,
-    )  # fmt: skip
+        case.queries,
+        case.database,
+        case.query_positions,
+        case.database_positions,
+        case.threshold,
+        {"other": case.pool},
+        {"other": case.pool_positions},
+        draws=3,
+    )
     two = run(case, cosine, candidates=n, draws=3)
     for distractors in (False, True):
         expected = np.minimum(one.ranks(distractors=distractors), n + 1)
@@ -302,9 +324,16 @@ def tiny(first, second, *, pool_first=(), pool_second=(), positives=1):
     vectors = lambda values: np.array([[v, np.sqrt(1 - v * v)] for v in values], np.float32)  # noqa: E731
     where = np.where(np.arange(len(first)) < positives, 0.0, 100.0)[:, None]
     return Case(
-        vectors([1.0]), vectors(first), np.zeros((1, 1)), where, 1.0, np.array([second]),
-        vectors(pool_first), np.full((len(pool_first), 1), 50.0), np.array([pool_second]),
-    )  # fmt: skip
+        vectors([1.0]),
+        vectors(first),
+        np.zeros((1, 1)),
+        where,
+        1.0,
+        np.array([second]),
+        vectors(pool_first),
+        np.full((len(pool_first), 1), 50.0),
+        np.array([pool_second]),
+    )
 
 
 def test_a_distractor_that_pushes_out_a_wrong_candidate_can_help_and_is_reported_so():
@@ -336,9 +365,15 @@ def test_several_pools_share_the_database_and_stand_alone():
         "far": images("far", other.pool, other.pool_positions),
     }
     both = evaluate_two_stage(
-        images("queries", case.queries, case.query_positions), images("database", case.database, case.database_positions),
-        case.threshold, table, pools, candidates=4, draws=1, retrieve=2,
-    )  # fmt: skip
+        images("queries", case.queries, case.query_positions),
+        images("database", case.database, case.database_positions),
+        case.threshold,
+        table,
+        pools,
+        candidates=4,
+        draws=1,
+        retrieve=2,
+    )
     assert both.pools == ["other", "far"]
     alone = replace(case, pool=other.pool, pool_positions=other.pool_positions, pool_scores=other.pool_scores)
     for name, single in (("other", run(case, candidates=4, draws=1)), ("far", run(alone, candidates=4, draws=1))):
@@ -350,8 +385,11 @@ def test_several_pools_share_the_database_and_stand_alone():
         for distractors in (False, True):
             for got, expected in (
                 (rebuilt.pool(name).ranks(distractors=distractors), both.pool(name).ranks(distractors=distractors)),
-                (rebuilt.pool(name).retrieved(2, distractors=distractors)[0], both.pool(name).retrieved(2, distractors=distractors)[0]),
-            ):  # fmt: skip
+                (
+                    rebuilt.pool(name).retrieved(2, distractors=distractors)[0],
+                    both.pool(name).retrieved(2, distractors=distractors)[0],
+                ),
+            ):
                 np.testing.assert_array_equal(got, expected)
     assert (rebuilt.n_distractors, rebuilt.threshold, rebuilt["original"]) == (
         both.n_distractors,
@@ -375,8 +413,10 @@ def test_bad_questions_and_scores_are_named():
     with pytest.raises(KeyError, match="no view 'leace'"):
         result["leace"]
     for options, message in (
-        ({"candidates": 0}, "candidates is 0"), ({"draws": 0}, "draws is 0"), ({"retrieve": 9, "candidates": 4}, "retrieve is 9"),
-    ):  # fmt: skip
+        ({"candidates": 0}, "candidates is 0"),
+        ({"draws": 0}, "draws is 0"),
+        ({"retrieve": 9, "candidates": 4}, "retrieve is 9"),
+    ):
         with pytest.raises(ValueError, match=message):
             run(case, **options)
     with pytest.raises(ValueError, match=r"scores query 0 and image \d+ as nan; scores must be finite"):
@@ -487,9 +527,15 @@ class Wrong(TinyLocal):
 
 
 TINY = {
-    "title": "Tiny", "kind": "baseline", "backbone": "–", "aggregation": "random", "dimension": 5, "rerank": 4, "batch_size": 5,
+    "title": "Tiny",
+    "kind": "baseline",
+    "backbone": "–",
+    "aggregation": "random",
+    "dimension": 5,
+    "rerank": 4,
+    "batch_size": 5,
     "preprocessing": {"resize": "fixed", "size": [24, 32], "colour": "grey", "mean": [0.0], "std": [1.0]},
-}  # fmt: skip
+}
 LOCAL = TINY | {"builder": f"{__name__}:TinyLocal", "local_features": {"shape": [3, 4, 6]}}
 HALF = TINY | {"builder": f"{__name__}:TinyLocal", "local_features": {"shape": [3, 4, 6], "dtype": "float16"}}
 CODES = TINY | {"builder": f"{__name__}:TinyCodes", "code_bits": 12}
@@ -569,8 +615,10 @@ def test_descriptors_alone_do_not_need_the_local_features(project):
     np.testing.assert_array_equal(again[np.arange(12)], first[np.arange(12)])
     assert extract.descriptors(found, traversal, "local").sha256 == before
     assert sorted(path.name for path in again.files.folder.iterdir() if path.suffix != ".lock") == [
-        "00000.json", "00000.npy", "growing.json",
-    ]  # fmt: skip
+        "00000.json",
+        "00000.npy",
+        "growing.json",
+    ]
 
 
 def test_another_dtype_is_another_result_but_the_descriptors_are_shared(project):
@@ -671,8 +719,9 @@ def test_the_disk_is_checked_before_anything_is_computed(project, monkeypatch, c
     monkeypatch.setattr(methods, "model_of", lambda *_: pytest.fail("a model was built"))
     monkeypatch.setattr(shutil, "disk_usage", lambda _: free._replace(free=need - 1))
     for attempt in (
-        lambda: extract.descriptors(found, traversal, "local", workers=0), lambda: evaluated.evaluation(found, "street", "local"),
-    ):  # fmt: skip
+        lambda: extract.descriptors(found, traversal, "local", workers=0),
+        lambda: evaluated.evaluation(found, "street", "local"),
+    ):
         with pytest.raises(store.StoreError, match=r"local · street/day.* of disk, 3.5 kB are free.* 'dtype: float16'"):
             attempt()
     assert not list((project / ".cache").rglob("*.npy"))
@@ -696,19 +745,25 @@ def test_a_disk_that_fills_up_while_space_is_reserved_leaves_no_half_file(projec
 
 def test_entries_and_models_that_do_not_fit_are_named(project):
     for change, message in (
-        ({"rerank": None}, "found local_features without rerank"), ({"code_bits": 8}, "found local_features and code_bits together"),
-        ({"local_features": {"shape": [3]}}, "shape"), ({"local_features": {"shape": [3, 4], "dtype": "int8"}}, "allowed: 'float32' or 'float16'"),
-    ):  # fmt: skip
+        ({"rerank": None}, "found local_features without rerank"),
+        ({"code_bits": 8}, "found local_features and code_bits together"),
+        ({"local_features": {"shape": [3]}}, "shape"),
+        ({"local_features": {"shape": [3, 4], "dtype": "int8"}}, "allowed: 'float32' or 'float16'"),
+    ):
         with pytest.raises(ManifestError, match=message):
             loaded(project, local=LOCAL | change)
     found, traversal = loaded(
-        project, none=TINY | {"builder": f"{__name__}:TinyLocal", "code_bits": 8}, odd=LOCAL | {"local_features": {"shape": [4, 3, 6]}},
-        long=LOCAL | {"builder": f"{__name__}:Wrong"}, silent=TINY | {"builder": f"{__name__}:TinyLocal"},
-    )  # fmt: skip
+        project,
+        none=TINY | {"builder": f"{__name__}:TinyLocal", "code_bits": 8},
+        odd=LOCAL | {"local_features": {"shape": [4, 3, 6]}},
+        long=LOCAL | {"builder": f"{__name__}:Wrong"},
+        silent=TINY | {"builder": f"{__name__}:TinyLocal"},
+    )
     for method, message in (
         ("none", r"key 'code_bits', but the model has no descriptors_and_codes\(images\)"),
-        ("odd", r"shape \(3, 4, 6\) each, the manifest says \(4, 3, 6\)"), ("long", "of length 1 along the last axis; found lengths from 3"),
-    ):  # fmt: skip
+        ("odd", r"shape \(3, 4, 6\) each, the manifest says \(4, 3, 6\)"),
+        ("long", "of length 1 along the last axis; found lengths from 3"),
+    ):
         with pytest.raises(ManifestError, match=message):
             extract.descriptors(found, traversal, method, workers=0)
     with pytest.raises(ManifestError, match=r"methods\.hog has neither local_features nor code_bits"):
@@ -786,10 +841,16 @@ def test_the_architectures_offer_what_their_layouts_say(project, name, layout):
     for traversal in ("day", "night"):
         for path in sorted((project / "data" / "street" / traversal).glob("frame*.png"))[3:]:
             path.unlink()
-    entry = TINY | layout | {
-        "builder": f"artifact.methods.{name}:{name}", "dimension": 1024 if name == "selavpr" else 4096, "batch_size": 3,
-        "preprocessing": {"resize": "fixed", "size": [side, side]},
-    }  # fmt: skip
+    entry = (
+        TINY
+        | layout
+        | {
+            "builder": f"artifact.methods.{name}:{name}",
+            "dimension": 1024 if name == "selavpr" else 4096,
+            "batch_size": 3,
+            "preprocessing": {"resize": "fixed", "size": [side, side]},
+        }
+    )
     found, traversal = loaded(project, real=entry)
     stored = extract.second_stage(found, traversal, "real", workers=0)
     values = extract.descriptors(found, traversal, "real").values

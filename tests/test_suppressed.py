@@ -38,8 +38,12 @@ def by_hand(one, region, transform=None):
         queries, database = transform.transform(queries), transform.transform(database)
     places = one.dataset.query.positions, one.dataset.database.positions
     return evaluate(
-        queries, database, places[0][region.evaluation_queries], places[1][region.evaluation_database], one.dataset.threshold
-    )  # fmt: skip
+        queries,
+        database,
+        places[0][region.evaluation_queries],
+        places[1][region.evaluation_database],
+        one.dataset.threshold,
+    )
 
 
 def test_the_table_holds_what_fitting_and_evaluating_by_hand_give(made):

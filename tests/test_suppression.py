@@ -468,14 +468,17 @@ def _without_unit_length_check(monkeypatch, q, c, where, similarity):
     ("change", "message"),
     [
         (lambda X, c: (X, np.zeros(len(c), int)), "all 20 descriptors have the condition 0; at least two conditions"),
-        (lambda X, c: (X, np.where(np.arange(20) == 3, 9, 0)), "condition 9 has one descriptor; at least two are needed"),
+        (
+            lambda X, c: (X, np.where(np.arange(20) == 3, 9, 0)),
+            "condition 9 has one descriptor; at least two are needed",
+        ),
         (lambda X, c: (np.ones_like(X), c), "all 20 descriptors are the same"),
         (lambda X, c: (np.where(np.arange(20)[:, None] == 5, np.nan, X), c), "row 5 of the descriptors has NaN"),
         (lambda X, c: (X, c[:-1]), r"condition has the shape \(19,\); allowed: \(20,\)"),
         (lambda X, c: (X[0], c), r"descriptors have the shape \(6,\)"),
         (lambda X, c: (X.astype(int), c), "type int64; allowed: .* float type"),
     ],
-)  # fmt: skip
+)
 def test_bad_fits_are_named(estimator, change, message):
     X, condition = labelled(20, 6, 2)
     with pytest.raises(ValueError, match=message):

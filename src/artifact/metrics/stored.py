@@ -14,7 +14,7 @@ from artifact.metrics.evaluation import Evaluation
 
 def stored(
     manifest: Manifest, key: str, compute: Callable[[], dict[str, Any]], record: Mapping[str, Any]
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Return stored results of a key, or compute and store them.
 
     Parameters

@@ -250,9 +250,7 @@ class _Pass:
         return counts
 
 
-def _factors(
-    images: ImageSet, transforms: Mapping[str, LowRank | None], similarity: Similarity
-) -> dict[str, _Factors]:  # fmt: skip
+def _factors(images: ImageSet, transforms: Mapping[str, LowRank | None], similarity: Similarity) -> dict[str, _Factors]:
     """Project an image set once for all views; norms turn dot products into the chosen similarity.
 
     With ``a = right.T x - offset``, ``u = left.T x`` and ``G = left.T left``, the transformed dot product is
