@@ -1,11 +1,9 @@
 """Counting in one tile of similarities: how many database images and distractors outrank the best positive.
 
-Counting replaces sorting: a query is a hit at K exactly when fewer than K images outrank its best positive. The
-kernels below read each similarity once. They are compiled by Numba for the CPU and written again in PyTorch for
-other devices; the tests hold both against a literal sort.
-
-A similarity is ``(value - correction) * scale + bias``, with one scale and bias per column, so that cosine, dot
-product and Euclidean distance, and low-rank transformed descriptors, all come from one plain matrix product.
+Counting replaces sorting: a query is a hit at K exactly when fewer than K images outrank its best positive. The kernels
+are compiled by Numba for the CPU and written again in PyTorch for other devices. A similarity is
+``(value - correction) * scale + bias`` with one scale and bias per column, so that all three kinds, also of low-rank
+transformed descriptors, come from one plain matrix product.
 """
 
 from __future__ import annotations
@@ -94,7 +92,7 @@ class Counts(NamedTuple):
 
 
 @njit(nogil=True, cache=True)
-def _insert_descending(values, labels, value, label):
+def _insert_descending(values: np.ndarray, labels: np.ndarray, value: float, label: int) -> None:
     """Put a value into a descending list that is full; the last falls out, equal values keep their order."""
     slot = values.size - 1
     while slot > 0 and values[slot - 1] < value:
@@ -106,7 +104,7 @@ def _insert_descending(values, labels, value, label):
 
 
 @njit(nogil=True, cache=True)
-def _insert_distance(values, value):
+def _insert_distance(values: np.ndarray, value: float) -> None:
     slot = values.size - 1
     while slot > 0 and values[slot - 1] < value:
         values[slot] = values[slot - 1]
@@ -115,7 +113,7 @@ def _insert_distance(values, value):
 
 
 @njit(nogil=True, cache=True)
-def _insert_places(first, places):
+def _insert_places(first: np.ndarray, places: np.ndarray) -> None:
     """Put an image's place in each random order into that order's ascending list, where it is small enough."""
     last = first.shape[0] - 1
     for draw in range(places.size):
@@ -128,7 +126,9 @@ def _insert_places(first, places):
 
 
 @njit(nogil=True, cache=True)
-def _similarities(row, correction, scale, bias, out):
+def _similarities(
+    row: np.ndarray, correction: np.ndarray, scale: np.ndarray, bias: np.ndarray, out: np.ndarray
+) -> None:
     """Write the similarities of one tile row; an empty correction changes nothing."""
     if correction.size:
         for column in range(out.size):
@@ -139,7 +139,7 @@ def _similarities(row, correction, scale, bias, out):
 
 
 @njit(nogil=True, cache=True)
-def database_rows(tile, groups, counts):
+def database_rows(tile: Tile, groups: Groups, counts: Counts) -> None:
     """Find the best positive of each row and count the columns above it and equal to it.
 
     The tile holds every database image of its rows; ``groups`` are the positives.
@@ -174,7 +174,7 @@ def database_rows(tile, groups, counts):
 
 
 @njit(nogil=True, cache=True)
-def pool_counts(tile, groups, counts):
+def pool_counts(tile: Tile, groups: Groups, counts: Counts) -> None:
     """Count as :func:`pool_rows`, without lists: for views whose sweeps nobody asked for.
 
     ``groups`` are the pool images that each query may not use: everything is counted and those few are taken back, so
@@ -204,7 +204,7 @@ def pool_counts(tile, groups, counts):
 
 
 @njit(nogil=True, cache=True)
-def _distances(here, pool_positions, begin, out):
+def _distances(here: np.ndarray, pool_positions: np.ndarray, begin: int, out: np.ndarray) -> None:
     """Write the distances from one position to ``out.size`` pool images from ``begin`` on."""
     for place in range(out.size):
         out[place] = 0.0
@@ -217,7 +217,7 @@ def _distances(here, pool_positions, begin, out):
 
 
 @njit(nogil=True, cache=True)
-def pool_rows(tile, places, orders, earliest, counts):
+def pool_rows(tile: Tile, places: Places, orders: np.ndarray, earliest: np.ndarray, counts: Counts) -> None:
     """Count the allowed distractors of a tile that outrank, or are as similar as, each row's best positive.
 
     ``orders`` is ``(pool, draws)``: the place of each pool image in each random order, and ``earliest`` its smallest

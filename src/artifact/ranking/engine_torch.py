@@ -140,10 +140,9 @@ def _merge_top(counts: Counts, rows: slice, similarity: torch.Tensor, first_colu
     top = counts.top_similarity.shape[1]
     if not top:
         return
-    values, columns = torch.sort(similarity, dim=1, descending=True, stable=True)
-    values, columns = values[:, :top].cpu().numpy(), columns[:, :top].cpu().numpy() + first_column
-    values = np.concatenate([counts.top_similarity[rows], values], axis=1)
-    columns = np.concatenate([counts.top_index[rows], columns], axis=1)
+    found, places = torch.sort(similarity, dim=1, descending=True, stable=True)
+    values = np.concatenate([counts.top_similarity[rows], found[:, :top].cpu().numpy()], axis=1)
+    columns = np.concatenate([counts.top_index[rows], places[:, :top].cpu().numpy() + first_column], axis=1)
     order = np.argsort(-values, axis=1, kind="stable")[:, :top]
     counts.top_similarity[rows] = np.take_along_axis(values, order, axis=1)
     counts.top_index[rows] = np.where(

@@ -1,8 +1,4 @@
-"""Second-stage scores: mutual nearest local features (SelaVPR) and the cosine of descriptors (SelaVPR++).
-
-A score belongs to a pair of images alone. Both functions take pairs as two arrays of indices, and load what they
-need of the images a memory budget at a time.
-"""
+"""Second-stage scores of pairs: mutual nearest local features (SelaVPR) and the cosine of descriptors (SelaVPR++)."""
 
 from __future__ import annotations
 
@@ -19,24 +15,10 @@ _TILE_ROWS = 512  # features of a candidate that are compared at a time on the C
 
 
 def cosines(queries: np.ndarray, query_rows: np.ndarray, images: np.ndarray, image_rows: np.ndarray) -> np.ndarray:
-    """Score pairs of images by the cosine of their descriptors, the second stage of SelaVPR++.
+    """Score pairs ``(query_rows[i], image_rows[i])`` by the cosine of their descriptors, the second stage of SelaVPR++.
 
     Sums are in float64 and rounded to float32 at the end, so that equal images get equal scores.
 
-    Parameters
-    ----------
-    queries, images
-        Descriptors ``(n, d)``.
-    query_rows, image_rows
-        ``(p,)`` indices of each pair.
-
-    Returns
-    -------
-    numpy.ndarray
-        ``(p,)`` float32 scores.
-
-    Examples
-    --------
     >>> unit = np.eye(3, dtype=np.float32)
     >>> cosines(unit, np.array([0, 0]), unit, np.array([0, 2])).tolist()
     [1.0, 0.0]
@@ -52,7 +34,9 @@ def _readable(descriptors: np.ndarray) -> np.ndarray:
 
 
 @njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
-def _cosines(queries, query_rows, images, image_rows, scores):
+def _cosines(
+    queries: np.ndarray, query_rows: np.ndarray, images: np.ndarray, image_rows: np.ndarray, scores: np.ndarray
+) -> None:
     for pair in range(scores.size):
         query, image = queries[query_rows[pair]], images[image_rows[pair]]
         product, query_square, image_square = 0.0, 0.0, 0.0
@@ -68,36 +52,16 @@ def _cosines(queries, query_rows, images, image_rows, scores):
 class LocalMatcher:
     """Second-stage scores of SelaVPR: mutual nearest neighbours among the local features of two images.
 
-    The score is the number of pairs of features that are each other's nearest, where exactly one counts as none,
-    as in the authors' code (:func:`artifact.ranking.matching_torch.match_count`). Each image is read once for each group of
-    queries that fits the memory. Features are compared in float32 whatever they are stored as.
-
-    Attributes
-    ----------
-    memory
-        Bytes that features and similarities may take together.
-    device
-        ``None`` takes CUDA if there is any, else the CPU.
+    The score is the number of pairs of features that are each other's nearest, where exactly one counts as none, as in the
+    authors' code. ``memory`` is in bytes, for features and similarities together: each image is read once for each group
+    of queries that fits. Features are compared in float32 whatever they are stored as.
     """
 
     memory: int = 2**30
     device: Any = None
 
     def __call__(self, queries: Any, query_rows: np.ndarray, images: Any, image_rows: np.ndarray) -> np.ndarray:
-        """Score pairs of images.
-
-        Parameters
-        ----------
-        queries, images
-            Local features of unit length, ``(n, ..., c)``: arrays, or :class:`Stored`.
-        query_rows, image_rows
-            ``(p,)`` indices of each pair.
-
-        Returns
-        -------
-        numpy.ndarray
-            ``(p,)`` float32 scores.
-        """
+        """Return ``(p,)`` float32 scores of pairs of images with local features ``(n, ..., c)`` of unit length."""
         scores = np.empty(len(query_rows), np.float32)
         load, match = self._backend()
         image_bytes = 4 * max(math.prod(queries.shape[1:]), math.prod(images.shape[1:]))
@@ -170,7 +134,9 @@ def _match_on_cpu(query: np.ndarray, images: np.ndarray, places: np.ndarray) -> 
 
 
 @njit(nogil=True, cache=True, fastmath={"nnan", "nsz"})
-def _nearest(tile, first, nearest_of_row, nearest_of_column, closest):
+def _nearest(
+    tile: np.ndarray, first: int, nearest_of_row: np.ndarray, nearest_of_column: np.ndarray, closest: np.ndarray
+) -> None:
     """Find the nearest column of each row, and go on with the nearest row of each column; ties: the first."""
     columns = tile.shape[1]
     for row in range(tile.shape[0]):

@@ -1,10 +1,9 @@
 """One streaming pass of similarity tiles gives the per-query counts behind every metric.
 
-Nothing is sorted, no similarity matrix is kept and no per-query database is built. A block of queries is
-multiplied with the whole database, which gives each query's best positive and the number of database images
-above it; then tiles of distractors add the number of allowed distractors above it. When the distractors are
-the queries themselves, the tiles are symmetric and only half of them are computed. Views (low-rank transforms of
-the descriptors) correct each tile instead of multiplying again.
+Nothing is sorted, no similarity matrix is kept and no per-query database is built. A block of queries is multiplied with
+the whole database, which gives each query's best positive and the number of database images that outrank it; then tiles
+of distractors add theirs. When the distractors are the queries themselves, half of the tiles suffice. Views (low-rank
+transforms of the descriptors) correct each tile instead of multiplying again.
 """
 
 from __future__ import annotations
@@ -33,8 +32,7 @@ _NEGLIGIBLE = 1e-5  # of a projection, in float32
 class LowRank(Protocol):
     """A transform ``r(x) = x - left @ (right.T @ x - offset)`` that can be evaluated as a view."""
 
-    def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return ``left`` ``(d, k)``, ``right`` ``(d, k)`` and ``offset`` ``(k,)``."""
+    def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -52,8 +50,7 @@ class Options:
     retrieve
         Length of the stored retrieval lists; 0 stores none.
     view_sweeps
-        Whether views offer the sweep over distance and the draws of the sweep over number too. They cost a view
-        several times what its counts cost.
+        Whether views offer both sweeps too, which cost a view several times what its counts cost.
     seed
         Seed of the random orders.
     memory
@@ -115,29 +112,8 @@ def rank(
 ) -> Ranking:
     """Rank every query's best positive against the database and against each distractor pool.
 
-    Parameters
-    ----------
-    queries, database
-        Checked image sets of one dimensionality.
-    threshold
-        Positives are database images at most this far from the query, allowed distractors are pool images
-        farther than it, in the unit of the positions (paper, definition of P_i and N_i).
-    pools
-        Distractor pools by name; ``None`` stands for the evaluated queries themselves.
-    views
-        Low-rank transforms to evaluate in the same pass, by name.
-    options
-        See :class:`Options`.
-
-    Returns
-    -------
-    Ranking
-        Counts for the view ``"original"`` and each of ``views``.
-
-    Raises
-    ------
-    ValueError
-        If no query has a positive.
+    The sets are checked; pools go by name, and ``None`` stands for the evaluated queries themselves. Raises ``ValueError`` if no
+    query has a positive.
     """
     options = options or Options()
     evaluated, starts, positives = evaluated_queries(queries.positions, database.positions, threshold)
@@ -199,7 +175,7 @@ class _Pass:
     options: Options
 
     def over_database(self, database: ImageSet, starts: np.ndarray, positives: np.ndarray) -> dict[str, Counts]:
-        """Multiply blocks of queries with the whole database: best positives, and the images above them."""
+        """Multiply blocks of queries with the whole database: best positives, and the images that outrank them."""
         options, n = self.options, len(self.queries)
         columns = _factors(database, self.transforms, options.similarity)
         counts = {view: Counts.empty(n, options.depth, 0, options.retrieve) for view in self.transforms}
@@ -209,24 +185,19 @@ class _Pass:
         step = max(1, min(largest, options.memory // (4 * copies * len(database))))
         for rows in _blocks(n, step):
             values = self.engine.product(self.queries.descriptors, rows, database.descriptors, slice(0, len(database)))
-            for view, column in columns.items():
-                correction = self.engine.correction(self.rows[view].left[rows], column.right)
-                tile = Tile(values, correction, column.scale, column.bias, rows.start, 0)
+            for view in self.transforms:
+                tile = self._tile(view, values, rows, columns[view], slice(0, len(database)))
                 self.engine.count_database(tile, Groups(starts, positives), counts[view])
         return counts
 
     def over_pool(self, pool: ImageSet, best: Mapping[str, np.ndarray]) -> dict[str, Counts]:
-        """Count the allowed distractors of one pool above each query's best positive."""
+        """Count the allowed distractors of one pool that outrank each query's best positive."""
         options, n = self.options, len(self.queries)
         own = pool is self.queries
         columns = self.rows if own else _factors(pool, self.transforms, options.similarity)
         bare = {view for view in self.transforms if view != ORIGINAL and not (options.view_sweeps or options.retrieve)}
-        counts = {
-            view: Counts.empty(n, 0, 0, 0)
-            if view in bare
-            else Counts.empty(n, options.depth, options.draws, options.retrieve)
-            for view in self.transforms
-        }
+        kept = options.depth, options.draws, options.retrieve
+        counts = {view: Counts.empty(n, *((0, 0, 0) if view in bare else kept)) for view in self.transforms}
         for view in self.transforms:
             counts[view].best[:] = best[view]
         orders = draw_orders(len(pool), options)
@@ -239,15 +210,18 @@ class _Pass:
             halves = [(values, rows, cols)]
             if mirrored:
                 halves.append((self.engine.transposed(values), cols, rows))
-            for view, column in columns.items():
+            for view in self.transforms:
                 for half, above, across in halves:
-                    correction = self.engine.correction(self.rows[view].left[above], column.right[across])
-                    tile = Tile(half, correction, column.scale[across], column.bias[across], above.start, across.start)
+                    tile = self._tile(view, half, above, columns[view], across)
                     if near is not None and view in bare:
                         self.engine.count_pool_only(tile, places, near, counts[view])
                     else:
                         self.engine.count_pool(tile, places, orders, counts[view])
         return counts
+
+    def _tile(self, view: str, values: Any, rows: slice, columns: _Factors, across: slice) -> Tile:
+        correction = self.engine.correction(self.rows[view].left[rows], columns.right[across])
+        return Tile(values, correction, columns.scale[across], columns.bias[across], rows.start, across.start)
 
 
 def _factors(images: ImageSet, transforms: Mapping[str, LowRank | None], similarity: Similarity) -> dict[str, _Factors]:
@@ -267,9 +241,7 @@ def _factors(images: ImageSet, transforms: Mapping[str, LowRank | None], similar
             left, _, offset = bases[view]
             u, a = next(projected), next(projected) - offset
             remainder = u - a @ (left.T @ left)
-            change = -np.einsum("nk,nk->n", a, u, dtype=np.float64) - np.einsum(
-                "nk,nk->n", remainder, a, dtype=np.float64
-            )
+            change = -sum(np.einsum("nk,nk->n", *both, dtype=np.float64) for both in ((a, u), (remainder, a)))
             left_factor, right_factor = np.concatenate([a, remainder], axis=1), np.concatenate([u, a], axis=1)
             if a.size and np.abs(remainder).max() <= _NEGLIGIBLE * max(np.abs(a).max(), np.abs(u).max()):
                 left_factor, right_factor = np.ascontiguousarray(a), np.ascontiguousarray(u)
@@ -301,18 +273,12 @@ def squared_norms(descriptors: np.ndarray) -> np.ndarray:
 
 
 def _project(descriptors: np.ndarray, bases: list[np.ndarray]) -> Iterator[np.ndarray]:
-    """Yield the projection on each basis, from one product with all their different directions.
-
-    An orthogonal projection has the same directions on both sides, and the views of an INLP at several iterations share
-    theirs.
-    """
+    """Yield the projection on each basis, from one product with the directions that differ: INLP's views share theirs."""
     if not bases:
         return
     places: dict[bytes, int] = {}
-    chosen = [
-        [places.setdefault(column.tobytes(), len(places)) for column in np.ascontiguousarray(basis.T)]
-        for basis in bases
-    ]
+    transposed = [np.ascontiguousarray(basis.T) for basis in bases]
+    chosen = [[places.setdefault(column.tobytes(), len(places)) for column in basis] for basis in transposed]
     directions = np.frombuffer(b"".join(places), np.float32).reshape(len(places), descriptors.shape[1])
     out = np.empty((len(descriptors), len(places)), np.float32)
     for rows in _blocks(len(descriptors), max(1, 2**23 // max(1, descriptors.shape[1]))):
@@ -324,10 +290,8 @@ def _project(descriptors: np.ndarray, bases: list[np.ndarray]) -> Iterator[np.nd
 def draw_orders(n: int, options: Options) -> np.ndarray:
     """Return ``(n, draws)`` int32: the place of each pool image in each random order."""
     generator = np.random.default_rng(options.seed)
-    orders = np.empty((n, options.draws), np.int32)
-    for draw in range(options.draws):
-        orders[:, draw] = generator.permutation(n)
-    return orders
+    drawn = [generator.permutation(n).astype(np.int32) for _ in range(options.draws)]
+    return np.stack(drawn, axis=1) if drawn else np.empty((n, 0), np.int32)
 
 
 def _blocks(n: int, step: int) -> Iterator[slice]:
