@@ -90,12 +90,13 @@ def evaluate(
     1      1     1                      2              1
     """
     options = _checked(Options(similarity, depth, draws, retrieve, view_sweeps, seed, memory, device))
-    threshold = _checked_threshold(threshold)
+    if not np.isfinite(threshold) or threshold < 0:
+        raise ValueError(f"threshold is {threshold!r}; allowed: finite numbers from 0, in metres or frames")
     query_set = _image_set("queries", queries, query_positions, similarity)
     database_set = _image_set("database", database, database_positions, similarity)
     _same_width(("queries", query_set), ("database", database_set))
     pools = _pools(distractors, distractor_positions, query_set, similarity)
-    ranking = rank(query_set, database_set, threshold, pools, views, options)
+    ranking = rank(query_set, database_set, float(threshold), pools, views, options)
     evaluated = query_set.positions[ranking.evaluated]
     return Evaluation(
         evaluated=ranking.evaluated,
@@ -104,7 +105,7 @@ def evaluate(
         query_positions=evaluated,
         database_positions=database_set.positions,
         pool_positions={name: evaluated if pool is None else pool.positions for name, pool in pools.items()},
-        threshold=threshold,
+        threshold=float(threshold),
         pool_name=next(iter(pools)),
     )
 
@@ -161,38 +162,25 @@ def _image_set(name: str, descriptors: Any, positions: Any, similarity: str) -> 
             f"{name}: positions have the shape {np.shape(positions)} for {len(descriptors)} descriptors; "
             f"allowed: ({len(descriptors)}, p)"
         )
-    if not np.isfinite(where).all():
-        raise ValueError(f"{name}: the position of row {_first(~np.isfinite(where).all(axis=1))} is not finite")
-    squared = squared_norms(descriptors)
-    if not np.isfinite(squared).all():
-        raise ValueError(f"{name}: row {_first(~np.isfinite(squared))} of the descriptors has NaN or infinite values")
-    if (squared == 0).any():
-        raise ValueError(f"{name}: row {_first(squared == 0)} of the descriptors is all zeros and has no direction")
-    lengths = np.sqrt(squared)
-    if similarity != "cosine" and (np.abs(lengths - 1) > _UNIT_TOLERANCE).any():
-        row = _first(np.abs(lengths - 1) > _UNIT_TOLERANCE)
-        raise ValueError(
-            f"{name}: row {row} has length {lengths[row]:.4g}; similarity {similarity!r} needs unit-length "
-            f"descriptors: divide each row by its length, or use 'cosine'"
-        )
+    lengths = np.sqrt(squared_norms(descriptors))
+    for wrong, message in (
+        (~np.isfinite(where).all(axis=1), "the position of row {row} is not finite"),
+        (~np.isfinite(lengths), "row {row} of the descriptors has NaN or infinite values"),
+        (lengths == 0, "row {row} of the descriptors is all zeros and has no direction"),
+        (
+            (similarity != "cosine") & (np.abs(lengths - 1) > _UNIT_TOLERANCE),
+            "row {row} has length {length:.4g}; similarity {similarity!r} needs unit-length descriptors: divide each row by its "
+            "length, or use 'cosine'",
+        ),
+    ):
+        if wrong.any():
+            row = int(wrong.argmax())
+            raise ValueError(f"{name}: " + message.format(row=row, length=lengths[row], similarity=similarity))
     return ImageSet(descriptors, np.ascontiguousarray(where))
 
 
 def _same_width(first: tuple[str, ImageSet], second: tuple[str, ImageSet]) -> None:
-    for kind, widths in (
-        ("descriptors", [s.descriptors.shape[1] for _, s in (first, second)]),
-        ("positions", [s.positions.shape[1] for _, s in (first, second)]),
-    ):
+    for kind in ("descriptors", "positions"):
+        widths = [getattr(images, kind).shape[1] for _, images in (first, second)]
         if widths[0] != widths[1]:
             raise ValueError(f"{kind} have {widths[0]} columns in {first[0]} and {widths[1]} in {second[0]}")
-
-
-def _first(mask: np.ndarray) -> int:
-    return int(np.flatnonzero(mask)[0])
-
-
-def _checked_threshold(threshold: float) -> float:
-    value = float(threshold)
-    if not np.isfinite(value) or value < 0:
-        raise ValueError(f"threshold is {threshold!r}; allowed: finite numbers from 0, in metres or frames")
-    return value

@@ -52,8 +52,6 @@ class Result(Protocol):
     threshold: float
     pool_name: str
 
-    # -- what was evaluated ---------------------------------------------------------------------------------
-
     @property
     def n_queries(self) -> int:
         """Number of evaluated queries: those with a positive in the database."""
@@ -95,19 +93,11 @@ class Result(Protocol):
             raise KeyError(f"no distractor pool {name!r}; the pools are {', '.join(self.pools)}")
         return replace(self, pool_name=name)
 
-    # -- metrics --------------------------------------------------------------------------------------------
-
     @abstractmethod
     def ranks(self, *, distractors: bool, ties: Ties = "for") -> np.ndarray:
-        """Return ``(n,)`` int64 ranks of the best positive; 1 is the top match.
+        """Return ``(n,)`` int64 ranks of the best positive, 1 on top, without or with the allowed distractors.
 
-        Parameters
-        ----------
-        distractors
-            Whether allowed distractors are in the database.
-        ties
-            ``"for"`` the query: only images strictly above the best positive count. ``"against"`` it: images
-            equal to it count too.
+        With ties ``"for"`` the query only images strictly above the best positive count, with ``"against"`` equal ones too.
         """
 
     def hits(self, k: int = 1, *, distractors: bool, ties: Ties = "for") -> np.ndarray:
@@ -127,24 +117,10 @@ class Result(Protocol):
         successes = self.hits(k, distractors=False).sum()
         return float(self.hits(k, distractors=True).sum() / successes) if successes else float("nan")
 
-    # -- sweeps ---------------------------------------------------------------------------------------------
-
     def dar_by_ratio(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
-        """Return the expected DAR@K when only a share of the distractor pool is used (paper Fig. 6a).
+        """Return the expected DAR@K, ``(len(ratios),)`` float64, when only a share of the pool is used (paper Fig. 6a).
 
-        For ratio r, m = round(r N_D) pool images are drawn without replacement.
-
-        Parameters
-        ----------
-        ratios
-            Shares of the pool in [0, 1]; 0 gives R@K and 1 gives DAR@K.
-        k
-            K.
-
-        Returns
-        -------
-        numpy.ndarray
-            ``(len(ratios),)`` float64.
+        For a ratio r in [0, 1], m = round(r N_D) pool images are drawn without replacement: 0 gives R@K, 1 gives DAR@K.
         """
         return self.chances_by_ratio(ratios, k).mean(axis=0)
 
@@ -154,27 +130,12 @@ class Result(Protocol):
 
     @abstractmethod
     def dar_by_ratio_draws(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
-        """Return DAR@K for nested random subsets of the pool, one row for each draw: ``(draws, len(ratios))`` float64.
-
-        Within a row a larger ratio adds images to the smaller one's, as the paper samples. The spread between
-        rows is the spread of :meth:`dar_by_ratio` over draws.
-        """
+        """Return DAR@K for nested random subsets of the pool, as the paper samples: ``(draws, len(ratios))`` float64."""
 
     def dar_by_distance(self, distances: Sequence[float], k: int = 1) -> np.ndarray:
-        """Return DAR@K when only distractors farther than a distance are used (paper Fig. 6b).
+        """Return DAR@K, ``(len(distances),)`` float64, when only distractors beyond a distance are used (paper Fig. 6b).
 
-        Parameters
-        ----------
-        distances
-            Minimum distances in the unit of the threshold, from the threshold (all distractors: DAR@K) to
-            infinity (none: R@K).
-        k
-            K.
-
-        Returns
-        -------
-        numpy.ndarray
-            ``(len(distances),)`` float64.
+        Distances are in the unit of the threshold, from the threshold (all: DAR@K) to infinity (none: R@K).
         """
         return self.hits_by_distance(distances, k).mean(axis=0)
 
@@ -182,18 +143,9 @@ class Result(Protocol):
     def hits_by_distance(self, distances: Sequence[float], k: int = 1) -> np.ndarray:
         """Return ``(n, len(distances))`` bool: each query's hits behind :meth:`dar_by_distance`."""
 
-    # -- per query ------------------------------------------------------------------------------------------
-
     @abstractmethod
     def retrieved(self, k: int = 1, *, distractors: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return each query's top K images.
-
-        Parameters
-        ----------
-        k
-            Length of the list, at most the option ``retrieve``.
-        distractors
-            Whether allowed distractors are in the database.
+        """Return each query's top K images, K up to the option ``retrieve``, without or with its allowed distractors.
 
         Returns
         -------
@@ -201,8 +153,8 @@ class Result(Protocol):
             ``(n, k)`` int64: database indices; a distractor with pool index ``j`` is ``n_database + j``; -1 where
             there are fewer than K images.
         similarities
-            ``(n, k)`` float32, in the order of the list. They are comparable within a query; for cosine divide
-            by the query's length to get the cosine itself. Two-stage methods give the scores of their second stage.
+            ``(n, k)`` float32, comparable within a query: the cosine times the query's length, or the dot product, or the
+            negative squared distance without the query's own square; scores of the second stage if there is one.
         """
 
     def per_query(self) -> pd.DataFrame:
@@ -221,8 +173,6 @@ class Result(Protocol):
             columns[f"rank{name}"] = self.ranks(distractors=False, ties=ties)
             columns[f"rank_with_distractors{name}"] = self.ranks(distractors=True, ties=ties)
         return pd.DataFrame(columns)
-
-    # -- storage and checks ---------------------------------------------------------------------------------
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Flatten into named arrays, for storage."""

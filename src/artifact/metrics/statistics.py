@@ -25,14 +25,7 @@ class Interval:
 
 
 def block_length(positions: np.ndarray, threshold: float) -> int:
-    """Return how many consecutive queries share a place: those within twice the threshold along the path.
-
-    Parameters
-    ----------
-    positions
-        ``(n, p)`` in metres or frames.
-    threshold
-        Positive threshold in the same unit.
+    """Return how many consecutive queries at ``(n, p)`` share a place: those within twice the threshold along the path.
 
     Examples
     --------
@@ -55,20 +48,9 @@ def resamples(n: int, block: int, count: int, seed: int) -> np.ndarray:
 def intervals(
     result: Result, k: int = 1, *, confidence: float = 0.95, count: int = 1000, seed: int = 0
 ) -> dict[str, Interval]:
-    """Return bootstrap intervals of R@K, DAR@K and RSR@K, as fractions.
+    """Return bootstrap intervals of R@K, DAR@K and RSR@K, as fractions; of RSR numerator and denominator together.
 
-    Numerator and denominator of RSR are resampled together.
-
-    Parameters
-    ----------
-    result
-        The evaluation.
-    k
-        K.
-    confidence
-        Share of resamples inside the interval.
-    count, seed
-        Number of resamples and their seed.
+    ``confidence`` is the share of resamples inside an interval, ``count`` and ``seed`` their number and seed.
     """
     draws = resamples(result.n_queries, block_length(result.query_positions, result.threshold), count, seed)
     recall = result.hits(k, distractors=False)[draws].mean(axis=1)
@@ -94,21 +76,9 @@ def interval_of_means(
     count: int = 1000,
     seed: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return bootstrap intervals of the means of several per-query values.
+    """Return the ends, ``(m,)`` each, of bootstrap intervals of the means of ``(n, m)`` hits or chances of a hit.
 
-    Parameters
-    ----------
-    values
-        ``(n, m)``: for each query, m hits or chances of a hit.
-    positions, threshold
-        Of the queries; they give the length of the blocks, see :func:`block_length`.
-    confidence, count, seed
-        As in :func:`intervals`.
-
-    Returns
-    -------
-    low, high
-        ``(m,)`` each.
+    Positions and threshold of the queries give the length of the blocks; the rest is as in :func:`intervals`.
     """
     draws = resamples(len(values), block_length(positions, threshold), count, seed)
     # How often each query is drawn says all about a mean, and needs no array of draws × queries × m.

@@ -15,19 +15,10 @@ from artifact.metrics.evaluation import Evaluation
 def stored(
     manifest: Manifest, key: str, compute: Callable[[], dict[str, Any]], record: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return stored results of a key, or compute and store them.
+    """Return stored results of a content key, or compute and store evaluations and arrays by name.
 
-    Parameters
-    ----------
-    manifest
-        Its folder holds the cache.
-    key
-        Content key of all inputs.
-    compute
-        Returns evaluations and arrays by name; called while the key's lock is held, so that parallel notebooks
-        compute a result once.
-    record
-        Facts for the sidecar, for people who look into the cache.
+    ``compute`` runs while the key's lock is held, so that parallel notebooks compute a result once; ``record`` are facts for
+    the sidecar, for people who look into the cache.
     """
     path = manifest.cache / "rankings" / f"{key[:24]}.npz"
     with store.lock(path):

@@ -1,18 +1,13 @@
 """Two-stage methods: candidates of the augmented database by a first stage, ranked again by a second.
 
-The database of a query is C with its allowed distractors N_i (paper, section III-B). A two-stage method takes the
-first N images of that database by its first stage (SelaVPR: cosine of descriptors; SelaVPR++: Hamming distance of
-hash codes) and ranks them again (SelaVPR: mutual nearest local features; SelaVPR++: cosine of descriptors). So
-distractors act twice: they push database images out of the candidates, and they compete with those that stay. A
-distractor may even help, by pushing out a wrong database image that the second stage would have preferred: DAR can
+A two-stage method takes the first N images of a query's database by its first stage (SelaVPR: cosine of descriptors;
+SelaVPR++: Hamming distance of hash codes) and ranks them again (SelaVPR: mutual nearest local features; SelaVPR++: cosine of
+descriptors). So distractors act twice: they push database images out of the candidates, and they compete with those that
+stay. A distractor may even help, by pushing out a wrong database image that the second stage would have preferred: DAR can
 exceed R, and is reported as it is.
 
-Counts per query do not suffice here, as they do for one-stage methods (:mod:`artifact.ranking.one_pass`). Each query needs the
-scores of all images that are candidates under some choice of distractors; what those are is decided from the first
-stage alone, so that nothing is scored in vain. A pair's score depends on the pair alone and is computed once.
-
-Ties, as everywhere in this project, favour the query: images equal in the first stage stand with the positives first,
-then database images and distractors, each by index; images equal in the second stage keep their first-stage order.
+Ties favour the query: images equal in the first stage stand with the positives first, then database images and
+distractors, each by index; images equal in the second stage keep their first-stage order.
 """
 
 from __future__ import annotations
@@ -139,27 +134,21 @@ def evaluate_two_stage(
 
     Parameters
     ----------
-    queries, database
-        The images with what both stages know of them.
-    threshold
-        As in :func:`artifact.evaluate`.
+    queries, database, threshold
+        The images with what both stages know of them; the threshold as in :func:`artifact.evaluate`.
     scores
-        The second stage, for example :func:`artifact.ranking.matching.cosines` or a
-        :class:`artifact.ranking.matching.LocalMatcher`.
+        The second stage: :func:`artifact.ranking.matching.cosines` or a :class:`artifact.ranking.matching.LocalMatcher`.
     pools
         Distractor pools by name; ``None`` takes the evaluated queries themselves, as does a pool that is ``None``.
-    candidates
-        N, how many images of the augmented database are ranked again.
-    retrieve
-        Length of the stored retrieval lists, at most N.
+    candidates, retrieve
+        N, how many images of the augmented database are ranked again; length of the stored lists, at most N.
     draws, seed
-        Number of nested random draws of the sweep over the number of distractors, and their seed: the draws are those
-        of one-stage methods with the same pool size and seed.
+        Number of nested random draws of the number sweep, and their seed: the same draws as of one-stage methods.
 
     Raises
     ------
     ValueError
-        If ``candidates`` or ``retrieve`` are not allowed, or no query has a positive.
+        If ``candidates``, ``draws`` or ``retrieve`` are not allowed, or no query has a positive.
     """
     check_numbers(candidates, draws)
     if not 0 <= retrieve <= candidates:
