@@ -90,13 +90,14 @@ def evaluate(
     1      1     1                      2              1
     """
     options = _checked(Options(similarity, depth, draws, retrieve, view_sweeps, seed, memory, device))
+    threshold = float(threshold)
     if not np.isfinite(threshold) or threshold < 0:
         raise ValueError(f"threshold is {threshold!r}; allowed: finite numbers from 0, in metres or frames")
     query_set = _image_set("queries", queries, query_positions, similarity)
     database_set = _image_set("database", database, database_positions, similarity)
     _same_width(("queries", query_set), ("database", database_set))
     pools = _pools(distractors, distractor_positions, query_set, similarity)
-    ranking = rank(query_set, database_set, float(threshold), pools, views, options)
+    ranking = rank(query_set, database_set, threshold, pools, views, options)
     evaluated = query_set.positions[ranking.evaluated]
     return Evaluation(
         evaluated=ranking.evaluated,
@@ -105,7 +106,7 @@ def evaluate(
         query_positions=evaluated,
         database_positions=database_set.positions,
         pool_positions={name: evaluated if pool is None else pool.positions for name, pool in pools.items()},
-        threshold=float(threshold),
+        threshold=threshold,
         pool_name=next(iter(pools)),
     )
 

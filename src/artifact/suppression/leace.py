@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 from scipy import linalg
-from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.utils.validation import check_is_fitted
 
-from artifact.suppression.lowrank import LowRankMap
+from artifact.suppression.lowrank import LowRankEstimator, LowRankMap
 from artifact.suppression.samples import checked_fit, gram_matrix, precision, scatter_matrix, spectrum, weighted_sum
 
 
-class LEACE(TransformerMixin, BaseEstimator):
+class LEACE(LowRankEstimator):
     """Least-squares concept erasure (Belrose et al. 2023), exact and without ``d × d`` matrices.
 
     The paper's formula (§IV-C) with whitening ``W = (Σ_XX^(1/2))^+`` equals
@@ -54,10 +52,7 @@ class LEACE(TransformerMixin, BaseEstimator):
     def fit(self, X: np.ndarray, condition: np.ndarray) -> LEACE:
         """Fit on descriptors ``(n, d)`` and their conditions ``(n,)``.
 
-        Raises
-        ------
-        ValueError
-            If there are fewer than two conditions or two rows in one, or the descriptors are constant or not finite.
+        Raises ``ValueError`` for fewer than two conditions or two rows in one, and for constant or infinite descriptors.
         """
         X, condition = checked_fit(X, condition)
         self.mean_ = X.mean(axis=0, dtype=np.float64)
@@ -94,16 +89,6 @@ class LEACE(TransformerMixin, BaseEstimator):
             values, vectors = spectrum(gram, tolerance)
             solved = vectors @ ((vectors.T @ (labels if dual else cross)) / values[:, None])
         return weighted_sum(X, self.mean_, solved) if dual else solved
-
-    def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the fitted map as ``left``, ``right``, ``offset``."""
-        check_is_fitted(self)
-        return self.map_.low_rank()
-
-    def transform(self, X: np.ndarray) -> np.ndarray:
-        """Erase the conditions from descriptors ``(n, d)``; the dtype is kept."""
-        check_is_fitted(self)
-        return self.map_.transform(X)
 
 
 def _shrinkage(covariance: np.ndarray, n: int, d: int) -> tuple[float, float]:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.utils.validation import check_is_fitted
 
 from artifact.suppression import saved
+from artifact.suppression.samples import checked_rows
 
 
 @dataclass(frozen=True)
@@ -33,14 +35,9 @@ class LowRankMap:
     offset: np.ndarray
 
     @property
-    def dimension(self) -> int:
-        """Width d of the descriptors."""
-        return self.left.shape[0]
-
-    @property
     def rank(self) -> int:
         """Number of columns k."""
-        return self.left.shape[1]
+        return len(self.offset)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the map to a file for :func:`artifact.load_transform`, whole or not at all.
@@ -61,40 +58,42 @@ class LowRankMap:
         return self.left, self.right, self.offset
 
     def transform(self, X: np.ndarray) -> np.ndarray:
-        """Apply the map to rows ``(n, d)``; the dtype is kept.
-
-        Raises
-        ------
-        ValueError
-            If the rows have another width.
-        """
-        X = np.asarray(X)
-        if X.ndim != 2 or X.shape[1] != self.dimension:
-            raise ValueError(
-                f"descriptors have the shape {X.shape}; this transform was fitted on (n, {self.dimension})"
-            )
-        kind = X.dtype if X.dtype in (np.float32, np.float64) else np.float32
-        left, right, offset = (part.astype(kind) for part in (self.left, self.right, self.offset))
-        X = X.astype(kind, copy=False)
+        """Apply the map to rows ``(n, d)``, or raise ``ValueError`` if they have another width; the dtype is kept."""
+        X = checked_rows(X, len(self.left))
+        left, right, offset = (part.astype(X.dtype) for part in (self.left, self.right, self.offset))
         change = (X @ right - offset) @ left.T
         return np.subtract(X, change, out=change)
 
 
-def compose(*steps: Any) -> LowRankMap:
-    """Return one map that applies several transforms in order.
+class LowRankEstimator(TransformerMixin, BaseEstimator):
+    """A transform whose fit gives a low-rank map, ``map_``."""
 
-    Parameters
-    ----------
-    *steps
-        Fitted :class:`~artifact.suppression.inlp.INLP` or :class:`~artifact.suppression.leace.LEACE` estimators, or low-rank maps;
-        the first is applied first. Nothing is normalised in between.
+    map_: LowRankMap
+
+    def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the fitted map as ``left``, ``right``, ``offset``."""
+        check_is_fitted(self)
+        return self.map_.low_rank()
+
+    def transform(self, X: np.ndarray) -> np.ndarray:
+        """Transform descriptors ``(n, d)``; the dtype is kept."""
+        check_is_fitted(self)
+        return self.map_.transform(X)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the fitted map to a file for :func:`artifact.load_transform`; see :meth:`LowRankMap.save`."""
+        LowRankMap(*self.low_rank()).save(path)
+
+
+def compose(*steps: LowRankMap | LowRankEstimator) -> LowRankMap:
+    """Return one map that applies several fitted INLP or LEACE estimators, or low-rank maps, in order.
+
+    Nothing is normalised in between.
 
     Raises
     ------
-    TypeError
-        If a step has no low-rank form, as STD.
-    ValueError
-        If there is no step, or widths differ.
+    TypeError, ValueError
+        If a step has no low-rank form, as STD; if there is no step, or widths differ.
 
     Examples
     --------

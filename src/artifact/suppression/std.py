@@ -9,7 +9,7 @@ from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
 from artifact.suppression import saved
-from artifact.suppression.samples import checked_fit
+from artifact.suppression.samples import checked_fit, checked_rows
 
 _BLOCK = 2**22  # values that are standardised at a time
 
@@ -39,10 +39,7 @@ class STD(BaseEstimator):
     def fit(self, X: np.ndarray, condition: np.ndarray) -> STD:
         """Fit on descriptors ``(n, d)`` and their conditions ``(n,)``.
 
-        Raises
-        ------
-        ValueError
-            If there are fewer than two conditions or two rows in one, or the descriptors are constant or not finite.
+        Raises ``ValueError`` for fewer than two conditions or two rows in one, and for constant or infinite descriptors.
         """
         X, condition = checked_fit(X, condition)
         self.conditions_ = np.unique(condition)
@@ -63,30 +60,22 @@ class STD(BaseEstimator):
 
         ``copy=False`` writes the result into ``X`` itself if that is float32 or float64.
 
-        Raises
-        ------
-        ValueError
-            If the width differs, or a condition was not seen at fit.
+        Raises ``ValueError`` if the width differs, or a condition was not seen at fit.
         """
         check_is_fitted(self)
-        X = np.asarray(X)
-        if X.ndim != 2 or X.shape[1] != self.mean_.shape[1]:
-            raise ValueError(
-                f"descriptors have the shape {X.shape}; this transform was fitted on (n, {self.mean_.shape[1]})"
-            )
+        X = checked_rows(given := np.asarray(X), self.mean_.shape[1])
         rows = np.broadcast_to(np.asarray(condition), len(X))
         unseen = np.setdiff1d(rows, self.conditions_)
         if unseen.size:
             raise ValueError(
                 f"condition {unseen[0]} was not seen at fit; the conditions are {self.conditions_.tolist()}"
             )
-        kind = X.dtype if X.dtype in (np.float32, np.float64) else np.dtype(np.float32)
-        mean, scale = self.mean_.astype(kind), self.scale_.astype(kind)
+        mean, scale = self.mean_.astype(X.dtype), self.scale_.astype(X.dtype)
         index = np.searchsorted(self.conditions_, rows)
-        out = np.empty(X.shape, kind) if copy or X.dtype != kind else X
+        out = np.empty_like(X) if copy and X is given else X
         step = max(1, _BLOCK // X.shape[1])
         for start in range(0, len(X), step):
             part = slice(start, start + step)
-            np.subtract(X[part], mean[index[part]], out=out[part], dtype=kind)
+            np.subtract(X[part], mean[index[part]], out=out[part])
             out[part] /= scale[index[part]]
         return out
