@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 from scipy.special import gammaln
 
@@ -53,8 +54,10 @@ class Evaluation(Result):
 
     def ranks(self, *, distractors: bool, ties: Ties = "for") -> np.ndarray:
         """Return ``(n,)`` int64 ranks of the best positive; see :class:`~artifact.metrics.result.Result`."""
-        counts = [self.database_counts, self.distractor_counts] if distractors else [self.database_counts]
-        return 1 + sum(c.outranking + (c.ties if ties == "against" else 0) for c in counts)
+        ranks = np.ones(self.n_queries, np.int64)
+        for counts in [self.database_counts, *([self.distractor_counts] if distractors else [])]:
+            ranks += counts.outranking + (counts.ties if ties == "against" else 0)
+        return ranks
 
     def chances_by_ratio(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
         """Return each query's chance of a hit, ``(n, len(ratios))``.
@@ -152,15 +155,14 @@ class Evaluation(Result):
 def _at_most(spare: np.ndarray, pool: int, outranking: np.ndarray, size: int) -> np.ndarray:
     """Probability that at most ``spare`` of the outranking images are among ``size`` drawn from a pool of ``pool``."""
 
-    def log_choose(n: np.ndarray, k: np.ndarray) -> np.ndarray:
+    def log_choose(n: npt.ArrayLike, k: npt.ArrayLike) -> np.ndarray:
+        n, k = np.asarray(n, np.float64), np.asarray(k, np.float64)
         return gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1)
 
     total = np.zeros(len(outranking))
     for drawn in range(int(spare.max(initial=-1)) + 1):
         possible = (drawn <= spare) & (drawn <= outranking) & (drawn <= size) & (size - drawn <= pool - outranking)
         n = outranking[possible]
-        log_probability = (
-            log_choose(n, drawn) + log_choose(pool - n, size - drawn) - log_choose(np.float64(pool), np.float64(size))
-        )
+        log_probability = log_choose(n, drawn) + log_choose(pool - n, size - drawn) - log_choose(pool, size)
         total[possible] += np.exp(log_probability)
     return np.minimum(total, 1.0)

@@ -168,11 +168,15 @@ class Result(Protocol):
             ``best_positive``: its database index, ``similarity`` of the two (cosine, dot product or negative squared
             distance) and ``distance`` between them in the unit of the threshold.
         """
-        columns: dict[str, Any] = {"query": self.evaluated}
-        for name, ties in (("", "for"), ("_against", "against")):
-            columns[f"rank{name}"] = self.ranks(distractors=False, ties=ties)
-            columns[f"rank_with_distractors{name}"] = self.ranks(distractors=True, ties=ties)
-        return pd.DataFrame(columns)
+        return pd.DataFrame(
+            {
+                "query": self.evaluated,
+                "rank": self.ranks(distractors=False),
+                "rank_with_distractors": self.ranks(distractors=True),
+                "rank_against": self.ranks(distractors=False, ties="against"),
+                "rank_with_distractors_against": self.ranks(distractors=True, ties="against"),
+            }
+        )
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Flatten into named arrays, for storage."""

@@ -189,7 +189,7 @@ def _rank(entries: Entries, n: int, ties: Ties) -> int:
     """Rank of the first positive after re-ranking the first n entries."""
     if ties == "against":
         last = np.where(entries.kind == POSITIVE, DISTRACTOR + 1, entries.kind)
-        order = np.lexsort((entries.index, last, -entries.first))[:n]
+        order = np.lexsort((entries.image, last, -entries.first))[:n]
         return rank_of_best(entries.kind[order], entries.second[order], True) or n + 1
     return rank_of_best(entries.kind[:n], entries.second[:n], False) or n + 1
 
@@ -197,5 +197,5 @@ def _rank(entries: Entries, n: int, ties: Ties) -> int:
 def _fill_list(target: tuple[np.ndarray, np.ndarray], query: int, entries: Entries, n: int, n_database: int) -> None:
     order = np.argsort(-entries.second[:n], kind="stable")[: target[0].shape[1]]
     shift = np.where(entries.kind[order] == DISTRACTOR, n_database, 0)
-    target[0][query, : len(order)] = entries.index[order] + shift
+    target[0][query, : len(order)] = entries.image[order] + shift
     target[1][query, : len(order)] = entries.second[order]

@@ -76,12 +76,12 @@ class Images:
 class Entries(NamedTuple):
     """Possible candidates of one query in first-stage order: by similarity, then kind, then index.
 
-    ``kind`` is int8: positive, other database image, or distractor; ``index`` int64 in the database or pool; ``first`` and
+    ``kind`` is int8: positive, other database image, or distractor; ``image`` its int64 index in the database or pool; ``first`` and
     ``second`` the float32 scores of the stages; ``keys`` ``(e, k)`` float64 keys of the distractors, 0 for database images.
     """
 
     kind: np.ndarray
-    index: np.ndarray
+    image: np.ndarray
     first: np.ndarray
     second: np.ndarray
     keys: np.ndarray
@@ -231,11 +231,11 @@ def _reachable(before: np.ndarray, keys: np.ndarray, n: int) -> np.ndarray:
 
 def _score(problem: Problem, block: range, parts: list[Entries], images: Images, scores: Scores) -> None:
     """Write the second-stage scores of a block of queries into their entries."""
-    lengths = [len(entries.index) for entries in parts]
+    lengths = [len(entries.image) for entries in parts]
     if not sum(lengths):
         return
     owners = problem.queries.rows[np.repeat(np.arange(block.start, block.stop), lengths)]
-    index = np.concatenate([entries.index for entries in parts])
+    index = np.concatenate([entries.image for entries in parts])
     values = scores(problem.queries.second, owners, images.second, images.rows[index])
     if not np.isfinite(values).all():
         pair = int(np.flatnonzero(~np.isfinite(values))[0])
@@ -248,10 +248,10 @@ def _score(problem: Problem, block: range, parts: list[Entries], images: Images,
 
 
 def _merged(near: Entries, far: Entries) -> Entries:
-    near = near._replace(keys=np.zeros((len(near.index), far.keys.shape[1])))
+    near = near._replace(keys=np.zeros((len(near.image), far.keys.shape[1])))
     return _sorted(Entries(*(np.concatenate(parts) for parts in zip(near, far, strict=True))))
 
 
 def _sorted(entries: Entries) -> Entries:
-    order = np.lexsort((entries.index, entries.kind, -entries.first))
+    order = np.lexsort((entries.image, entries.kind, -entries.first))
     return Entries(*(part[order] for part in entries))

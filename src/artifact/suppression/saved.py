@@ -16,7 +16,7 @@ _FORMAT = "artifact transform 1, "
 def write(path: str | os.PathLike[str], kind: str, **arrays: np.ndarray) -> None:
     """Write named arrays, whole or not at all."""
     with store.replacing(Path(path)) as temporary, temporary.open("wb") as stream:
-        np.savez(stream, format=np.array(_FORMAT + kind), **arrays)
+        np.savez(stream, **{"format": np.array(_FORMAT + kind), **arrays})  # type: ignore[arg-type]  # its allow_pickle
 
 
 def read(path: str | os.PathLike[str], shapes: dict[str, dict[str, str]]) -> tuple[str, dict[str, np.ndarray]]:
@@ -35,8 +35,12 @@ def read(path: str | os.PathLike[str], shapes: dict[str, dict[str, str]]) -> tup
     lengths: dict[str, int] = {}
     for name, axes in shapes[kind].items():
         array = arrays.get(name)
-        fits = array is not None and array.ndim == len(axes) and array.dtype.kind in "fiuU"
-        if not fits or any(lengths.setdefault(a, n) != n for a, n in zip(axes, array.shape, strict=True)):
+        if (
+            array is None
+            or array.ndim != len(axes)
+            or array.dtype.kind not in "fiuU"
+            or any(lengths.setdefault(a, n) != n for a, n in zip(axes, array.shape, strict=True))
+        ):
             raise _refusal(path, f"its {name!r} is missing or does not fit the others")
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise _refusal(path, f"its {name!r} is not finite")
