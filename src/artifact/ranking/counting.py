@@ -88,9 +88,6 @@ class Counts(NamedTuple):
         )
 
 
-# -- CPU ----------------------------------------------------------------------------------------------------
-
-
 @njit(nogil=True, cache=True)
 def _insert_descending(values: np.ndarray, labels: np.ndarray, value: float, label: int) -> None:
     """Put a value into a descending list that is full; the last falls out, equal values keep their order."""
@@ -126,16 +123,25 @@ def _insert_places(first: np.ndarray, places: np.ndarray) -> None:
 
 
 @njit(nogil=True, cache=True)
-def _similarities(
-    row: np.ndarray, correction: np.ndarray, scale: np.ndarray, bias: np.ndarray, out: np.ndarray
-) -> None:
+def _similarities(tile: Tile, row: int, out: np.ndarray) -> None:
     """Write the similarities of one tile row; an empty correction changes nothing."""
-    if correction.size:
+    values, scale, bias = tile.values[row], tile.scale, tile.bias
+    if tile.correction.shape[0]:
+        correction = tile.correction[row]
         for column in range(out.size):
-            out[column] = (row[column] - correction[column]) * scale[column] + bias[column]
+            out[column] = (values[column] - correction[column]) * scale[column] + bias[column]
     else:
         for column in range(out.size):
-            out[column] = row[column] * scale[column] + bias[column]
+            out[column] = values[column] * scale[column] + bias[column]
+
+
+@njit(nogil=True, cache=True)
+def _above_and_equal(similarity: np.ndarray, positive: np.floating) -> tuple[int, int]:
+    above, equal = 0, 0
+    for column in range(similarity.size):
+        above += similarity[column] > positive
+        equal += similarity[column] == positive
+    return above, equal
 
 
 @njit(nogil=True, cache=True)
@@ -144,26 +150,20 @@ def database_rows(tile: Tile, groups: Groups, counts: Counts) -> None:
 
     The tile holds every database image of its rows; ``groups`` are the positives.
     """
-    values, correction, scale, bias, offset, _ = tile
     starts, positives = groups
-    best, outranking, ties = counts.best, counts.outranking, counts.ties
-    top_similarity, top_index = counts.top_similarity, counts.top_index
-    columns = values.shape[1]
+    best, best_index, outranking, ties, _, _, top_similarity, top_index = counts
+    rows, columns = tile.values.shape
     similarity = np.empty(columns, np.float32)
-    nothing = np.empty(0, np.float32)
     top = top_similarity.shape[1]
-    for row in range(values.shape[0]):
-        _similarities(values[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
-        query = offset + row
+    for row in range(rows):
+        _similarities(tile, row, similarity)
+        query = tile.first_row + row
         positive = np.float32(-np.inf)
         for entry in range(starts[query], starts[query + 1]):
             if similarity[positives[entry]] > positive:
                 positive = similarity[positives[entry]]
-                counts.best_index[query] = positives[entry]
-        above, equal = 0, 0
-        for column in range(columns):
-            above += similarity[column] > positive
-            equal += similarity[column] == positive
+                best_index[query] = positives[entry]
+        above, equal = _above_and_equal(similarity, positive)
         for entry in range(starts[query], starts[query + 1]):
             equal -= similarity[positives[entry]] == positive
         best[query], outranking[query], ties[query] = positive, above, equal
@@ -180,27 +180,21 @@ def pool_counts(tile: Tile, groups: Groups, counts: Counts) -> None:
     ``groups`` are the pool images that each query may not use: everything is counted and those few are taken back, so
     that no distance is computed.
     """
-    values, correction, scale, bias, offset, first_column = tile
     starts, near = groups
-    best, outranking, ties = counts.best, counts.outranking, counts.ties
-    columns = values.shape[1]
+    rows, columns = tile.values.shape
     similarity = np.empty(columns, np.float32)
-    nothing = np.empty(0, np.float32)
-    for row in range(values.shape[0]):
-        _similarities(values[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
-        query = offset + row
-        positive = best[query]
-        above, equal = 0, 0
-        for column in range(columns):
-            above += similarity[column] > positive
-            equal += similarity[column] == positive
+    for row in range(rows):
+        _similarities(tile, row, similarity)
+        query = tile.first_row + row
+        positive = counts.best[query]
+        above, equal = _above_and_equal(similarity, positive)
         for entry in range(starts[query], starts[query + 1]):
-            column = near[entry] - first_column
+            column = near[entry] - tile.first_column
             if 0 <= column < columns:
                 above -= similarity[column] > positive
                 equal -= similarity[column] == positive
-        outranking[query] += above
-        ties[query] += equal
+        counts.outranking[query] += above
+        counts.ties[query] += equal
 
 
 @njit(nogil=True, cache=True)
@@ -224,17 +218,15 @@ def pool_rows(tile: Tile, places: Places, orders: np.ndarray, earliest: np.ndarr
     place. Columns go by in chunks: the loops over a chunk have no branches, and only a chunk that changes a list is
     looked at image by image.
     """
-    matrix, correction, scale, bias, offset, first_column = tile
     positions, pool_positions, threshold = places
     best, _, outranking, ties, farthest, first, top_similarity, top_index = counts
-    columns = matrix.shape[1]
+    rows, columns = tile.values.shape
     similarity = np.empty(columns, np.float32)
-    nothing = np.empty(0, np.float32)
     distance = np.empty(_CHUNK)
     top, depth, draws = top_similarity.shape[1], farthest.shape[1], first.shape[2]
-    for row in range(matrix.shape[0]):
-        _similarities(matrix[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
-        query = offset + row
+    for row in range(rows):
+        _similarities(tile, row, similarity)
+        query = tile.first_row + row
         positive = best[query]
         floor = min(positive, top_similarity[query, top - 1]) if top else positive
         reached = 0
@@ -250,7 +242,7 @@ def pool_rows(tile: Tile, places: Places, orders: np.ndarray, earliest: np.ndarr
             if reached == 0:
                 continue
             apart = distance[: values.size]
-            image = first_column + begin
+            image = tile.first_column + begin
             _distances(positions[query], pool_positions, image, apart)
             above, equal, farther, earlier, higher = 0, 0, 0, 0, 0
             limit = farthest[query, depth - 1]

@@ -80,9 +80,6 @@ class TorchEngine:
         return array.size * 4 < free // 3
 
 
-# -- counting ---------------------------------------------------------------------------------------------------
-
-
 def database_rows(similarity: torch.Tensor, offset: int, groups: Groups, counts: Counts) -> None:
     """Do as :func:`artifact.ranking.counting.database_rows`, with tensors on any device."""
     starts, positives = groups

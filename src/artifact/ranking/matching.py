@@ -11,6 +11,8 @@ import numpy as np
 import torch
 from numba import njit
 
+from artifact.ranking.matching_torch import match_count
+
 _TILE_ROWS = 512  # features of a candidate that are compared at a time on the CPU
 
 
@@ -83,10 +85,6 @@ class LocalMatcher:
         """Return how features are loaded, and how one query is matched with several of the loaded images."""
         if str(self.device) == "cpu":
             return _features, _match_on_cpu
-        import torch
-
-        from artifact.ranking.matching_torch import match_count
-
         if self.device is None and not torch.cuda.is_available():
             return _features, _match_on_cpu
         device = torch.device("cuda" if self.device is None else self.device)

@@ -18,12 +18,12 @@ class LEACE(LowRankEstimator):
     ``r(x) = x - A (A'B)^+ B' (x - μ)`` with ``A = X_c' Z_c`` and ``B`` the minimum-norm least-squares solution of
     ``X_c B = Z_c``: memory O(n d).
 
-    Nothing is removed where the conditions are already guarded. With orthonormal label columns ``Q`` that span those of
-    ``Z_c``, a condition direction counts only if its singular value in ``X_c' Q`` is above ``(2 ε + n ε₆₄) ‖X‖``: ``ε`` is
-    the epsilon of the coarsest of float16, float32 and float64 that holds all of ``X``, so that the bound is what rounding
-    of the stored values and of the sums can leave of an erased condition. So a fit on the output of a fit, in the precision
-    in which it is stored, is the identity. The regression cannot tell: with more columns than rows it fits labels to
-    the rounding itself. (Rows that are scaled to unit length after erasure are other data: their means may differ again.)
+    Nothing is removed where the conditions are already guarded. With orthonormal columns ``Q`` that span those of ``Z_c``, a
+    condition direction counts only if its singular value in ``X_c' Q`` is above ``(2 ε + n ε₆₄) ‖X‖``, what rounding of the
+    stored values and of the sums can leave of an erased condition: ``ε`` is the epsilon of the coarsest of float16, float32
+    and float64 that holds all of ``X``. So a fit on the stored output of a fit is the identity. (The regression cannot
+    tell: with more columns than rows it fits labels to the rounding. Rows scaled to unit length after erasure are other
+    data, whose means may differ again.)
 
     Parameters
     ----------

@@ -115,8 +115,7 @@ def split(
         fit_database=_colocated(query_positions[fit_queries], database_positions, threshold),
         evaluation_queries=np.setdiff1d(everything, excluded),
         evaluation_database=np.setdiff1d(
-            np.arange(len(database_positions)),
-            _colocated(query_positions[excluded], database_positions, threshold),
+            np.arange(len(database_positions)), _colocated(query_positions[excluded], database_positions, threshold)
         ),
     )
 
