@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,24 +25,11 @@ class Half(NamedTuple):
     database: np.ndarray
 
 
-@dataclass(frozen=True)
-class Guardedness:
-    """What a probe found.
-
-    Attributes
-    ----------
-    accuracy
-        Share of the test images whose condition the classifier tells, as a fraction; 0.5 is chance.
-    converged
-        Whether the classifier converged within its default number of iterations.
-    trained, tested
-        Number of images of each condition that it was trained and tested on.
-    """
+class Guardedness(NamedTuple):
+    """Test ``accuracy`` of a probe as a fraction (0.5 is chance), and whether it ``converged`` in its default iterations."""
 
     accuracy: float
     converged: bool
-    trained: int
-    tested: int
 
 
 def probe(
@@ -58,20 +44,18 @@ def probe(
 ) -> Guardedness:
     """Train a ``LinearSVC`` with its defaults to tell queries from database images, and test it on other places.
 
-    It trains on one spatial half of the images and tests on the other (see :func:`probe_split`). With fewer rows than
-    columns it runs on the triangular factor L of their inner products, ``L L' = X X'``: the solver (dual coordinate descent)
-    sees inner products only, so this is the same algorithm in exact arithmetic, at a cost of n instead of d per sample.
-    Half of L is zero and takes no memory in the solver, which turns each value into 16 bytes: n² float64 and as
-    much again, instead of six times the float32 descriptors. Descriptors are transformed some rows at a time.
+    It trains on one spatial half of the images and tests on the other, with a gap between them. With fewer rows than columns
+    it runs on the triangular factor L of their inner products, ``L L' = X X'``: the solver (dual coordinate descent) sees
+    inner products only, so this is the same algorithm in exact arithmetic, at a cost of n instead of d per sample. Half of
+    L is zero and takes no memory in the solver, which turns each value into 16 bytes: n² float64 and as much again,
+    instead of six times the float32 descriptors. Descriptors are transformed some rows at a time.
 
     Parameters
     ----------
     queries, database
         Descriptors ``(n, d)`` of the evaluation region, float32 or float16.
-    query_positions, database_positions
-        Their positions ``(n, p)`` or ``(n,)`` in metres or frames.
-    threshold
-        Positive threshold in the same unit.
+    query_positions, database_positions, threshold
+        Positions ``(n, p)`` or ``(n,)`` in metres or frames, and the positive threshold in the same unit.
     transform
         A fitted :class:`~artifact.INLP`, :class:`~artifact.LEACE` or :class:`~artifact.LowRankMap` to apply first, or an
         :class:`~artifact.STD` that was fitted with the conditions 0 (queries) and 1 (database).
@@ -106,7 +90,7 @@ def probe(
     told = np.concatenate([block @ weights + intercept > 0 for _, block in blocks(test)])
     right = told == np.repeat([False, True], len(test.queries))
     converged = not any(issubclass(warning.category, ConvergenceWarning) for warning in caught)
-    return Guardedness(float(right.mean()), converged, len(train.queries), len(test.queries))
+    return Guardedness(float(right.mean()), converged)
 
 
 def probe_split(
