@@ -113,13 +113,17 @@ def fit(X: np.ndarray, condition: np.ndarray, *, iterations: int = 35, seed: int
 
 def split_of(
     described: Described, fraction: float, evaluation_fraction: float | None = None, where: Where = "centre"
-) -> Split:  # fmt: skip
+) -> Split:
     """Split a described dataset by its positions."""
     data = described.dataset
     return split(
-        data.query.positions, data.database.positions, data.threshold, fraction,
-        evaluation_fraction=evaluation_fraction, where=where,
-    )  # fmt: skip
+        data.query.positions,
+        data.database.positions,
+        data.threshold,
+        fraction,
+        evaluation_fraction=evaluation_fraction,
+        where=where,
+    )
 
 
 def evaluate_region(described: Described, where: Split, views: Mapping[str, Any], **options: Any) -> Evaluation:
@@ -140,7 +144,7 @@ def evaluate_standardised(described: Described, where: Split, standardise: STD, 
 
 def compare(
     manifest: Manifest, dataset: str, method: str, *, fraction: float = 0.1, iterations: int = 35, seed: int = 0
-) -> Suppressed:  # fmt: skip
+) -> Suppressed:
     """Fit INLP, LEACE and STD on one region and evaluate them beside the original on the other (paper Fig. 8).
 
     Parameters
