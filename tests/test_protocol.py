@@ -49,7 +49,7 @@ TESTS = {
     "STD": ["test_std_gives_every_condition_mean_0_and_deviation_1"],
     "Guardedness probe": [
         "test_probe_halves_are_balanced_and_apart",
-        "test_the_probe_is_the_default_classifier_whatever_the_shape",
+        "test_the_probe_is_the_default_classifier_on_the_transformed_descriptors",
         "test_a_probe_that_does_not_converge_says_so",
     ],
     "Several conditions": [

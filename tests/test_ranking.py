@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracle import Case, distance, evaluated_queries, ranks, share
+from oracle import Case, distance, evaluated_queries, ranks, share, similarity
 
-from artifact.metrics import evaluation
 from artifact.metrics.evaluate import evaluate
+from artifact.metrics.result import QUERY_POOL
 from artifact.ranking import one_pass
 
 
@@ -80,6 +80,7 @@ def check_against_oracle(case, device):
         for with_distractors in (False, True):
             expected = ranks(case, ties=ties, with_distractors=with_distractors)
             np.testing.assert_array_equal(result.ranks(distractors=with_distractors, ties=ties), expected)
+    check_per_query(result.per_query(), case)
     for k in (1, 2, 5):
         recall, dar = share(ranks(case, with_distractors=False), k), share(ranks(case), k)
         assert result.recall(k) == recall
@@ -95,6 +96,26 @@ def check_against_oracle(case, device):
             for ratio, value in zip(ratios, row, strict=True):
                 members = set(np.flatnonzero(draw < round(ratio * result.n_distractors)).tolist())
                 assert value == pytest.approx(share(ranks(case, members=members), k))
+
+
+def check_per_query(table, case, kind="cosine"):
+    assert table["query"].tolist() == evaluated_queries(case)
+    for column, how in {
+        "rank": {"with_distractors": False},
+        "rank_with_distractors": {},
+        "rank_against": {"ties": "against", "with_distractors": False},
+        "rank_with_distractors_against": {"ties": "against"},
+    }.items():
+        np.testing.assert_array_equal(table[column], ranks(case, kind, **how))
+    for row in table.itertuples():
+        scores = similarity(kind, case.queries[row.query], case.database)
+        away = [distance(case.query_positions[row.query], where) for where in case.database_positions]
+        allowed = [
+            (round(s, 9), -i) for i, (s, far) in enumerate(zip(scores, away, strict=True)) if far <= case.threshold
+        ]
+        assert row.best_positive == -max(allowed)[1], "the first of equal ones"
+        assert row.similarity == pytest.approx(scores[row.best_positive], abs=1e-6)
+        assert row.distance == pytest.approx(away[row.best_positive])
 
 
 @pytest.mark.parametrize("side", [3, 1024])
@@ -130,16 +151,12 @@ def test_similarities_rank_as_defined(kind):
         rng.standard_normal((n, 24))
     ).astype(np.float32)
     case = Case(unit(40), unit(50), rng.uniform(0, 30, (40, 2)), rng.uniform(0, 30, (50, 2)), 4.0)
-    np.testing.assert_array_equal(run(case, similarity=kind).ranks(distractors=True), ranks(case, kind))
+    check_per_query(run(case, similarity=kind).per_query(), case, kind)
 
 
 def test_cosine_ignores_length_and_half_precision_is_read_exactly():
-    case = Case(
-        *(np.random.default_rng(1).standard_normal(s).astype(np.float16) for s in ((30, 8), (40, 8))),
-        np.arange(30.0)[:, None],
-        np.arange(40.0)[:, None],
-        2.0,
-    )
+    queries, database = (np.random.default_rng(n).standard_normal((n, 8)).astype(np.float16) for n in (30, 40))
+    case = Case(queries, database, np.arange(30.0)[:, None], np.arange(40.0)[:, None], 2.0)
     wide = Case(case.queries.astype(np.float32), 4 * case.database.astype(np.float32), *_positions(case))
     np.testing.assert_array_equal(run(case).ranks(distractors=True), run(wide).ranks(distractors=True))
 
@@ -190,6 +207,20 @@ def test_sweeps_end_at_recall_and_dar():
     result = run(case, retrieve=3)
     assert result.dar_by_ratio([0, 1]).tolist() == [result.recall(), result.dar()]
     assert result.dar_by_distance([case.threshold, np.inf]).tolist() == [result.dar(), result.recall()]
+
+
+@pytest.mark.parametrize("positions", [None, {}])
+def test_no_distractors_at_all_is_the_recall(positions):
+    case = random_case(0)
+    result = evaluate(case.queries, case.database, *_positions(case), {}, positions, retrieve=2)
+    assert (result.pools, result.n_distractors) == (["none"], 0)
+    np.testing.assert_array_equal(result.ranks(distractors=True), ranks(case, with_distractors=False))
+    assert run(case).dar() < result.dar() == result.recall()
+    assert result.dar_by_ratio([0, 1]).tolist() == [result.recall()] * 2
+    assert result.dar_by_ratio_draws([1]).tolist() == [[result.recall()]] * 10
+    assert result.dar_by_distance([case.threshold]).tolist() == [result.recall()]
+    alone, with_none = (result.retrieved(2, distractors=distractors)[0] for distractors in (False, True))
+    np.testing.assert_array_equal(alone, with_none)
 
 
 def test_several_pools_share_one_pass():
@@ -290,6 +321,7 @@ GOOD = {
         ({"database_positions": np.arange(3.0) + 50}, ValueError, "none of the 3 queries has a database image"),
         ({"distractors": np.eye(3, dtype=np.float32)}, ValueError, "without distractor_positions"),
         ({"distractor_positions": np.arange(3.0)}, ValueError, "without distractors"),
+        ({"distractors": {}, "distractor_positions": {"a": np.arange(3.0)}}, ValueError, "both need the same names"),
         ({"retrieve": -1}, ValueError, "retrieve is -1; allowed: whole numbers from 0"),
         ({"colour": 1}, TypeError, "unexpected keyword argument 'colour'"),
     ],
@@ -316,4 +348,4 @@ def test_bad_questions_are_named():
         result["leace"]
     with pytest.raises(KeyError, match="no distractor pool 'rain'; the pools are queries"):
         result.pool("rain")
-    assert evaluation.QUERY_POOL in result.pools
+    assert QUERY_POOL in result.pools

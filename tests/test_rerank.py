@@ -187,6 +187,8 @@ def check_against_definition(case, n):
             for k in {1, n}:
                 metric = result.dar if distractors else result.recall
                 assert metric(k, ties=ties) == share(expected, k)
+            column = f"rank{'_with_distractors' * distractors}{'_against' * (ties == 'against')}"
+            np.testing.assert_array_equal(result.per_query()[column], expected)
         indices, scores = result.retrieved(min(n, 3), distractors=distractors)
         for row in range(len(definition.kept)):
             wanted = definition.reranked(row, n, with_distractors=distractors)[: min(n, 3)]

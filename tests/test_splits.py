@@ -1,13 +1,16 @@
 """Fitting and evaluation regions share no place; the probe trains and tests on different places."""
 
+import functools
+import importlib
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.svm import LinearSVC
 
-import artifact
-from artifact.suppression.probe import probe_on, probe_split
+from artifact import LEACE, STD, probe
+from artifact.suppression.probe import probe_split
 from artifact.suppression.regions import fit_region, split
 
 
@@ -91,72 +94,71 @@ def test_fractions_that_overlap_are_named():
 
 
 @settings(max_examples=200, deadline=None)
-@given(st.integers(0, 10_000), st.integers(8, 60), st.integers(8, 90), st.sampled_from([0.0, 5.0, 60.0]))
+@given(st.integers(0, 10_000), st.integers(8, 60), st.integers(8, 90), st.floats(0, 80))
 def test_probe_halves_are_balanced_and_apart(seed, n, m, threshold):
     rng = np.random.default_rng(seed)
     queries = np.column_stack([rng.uniform(0, 500, n), rng.uniform(0, 80, n)])
     database = np.column_stack([rng.uniform(0, 500, m), rng.uniform(0, 80, m)])
     along = np.linalg.svd(queries - queries.mean(axis=0), full_matrices=False)[2][0]
-    places = [(part - queries.mean(axis=0)) @ along for part in (queries, database)]
-    cut = np.median(places[0])
-    sizes = [(part <= cut - threshold / 2).sum() for part in places] + [
-        (part > cut + threshold / 2).sum() for part in places
+    border = np.median(queries @ along)
+    beyond = [
+        (np.abs(x @ along - border) > threshold / 2) & (np.sign(x @ along - border) == s)
+        for x in (queries, database)
+        for s in (-1, 1)
     ]
-    if min(sizes) < 2:
+    if min(group.sum() for group in beyond) < 2:
         with pytest.raises(ValueError, match="two of each"):
             probe_split(queries, database, threshold, seed)
         return
-    rows = probe_split(queries, database, threshold, seed)
-    assert len(rows.train_queries) == min(sizes[:2])
-    assert len(rows.test_queries) == min(sizes[2:])
-    trained = np.concatenate([queries[rows.train_queries], database[rows.train_database]])
-    tested = np.concatenate([queries[rows.test_queries], database[rows.test_database]])
-    assert np.linalg.norm(trained[:, None] - tested, axis=2).min() > threshold
-    assert len(rows.train_queries) == len(rows.train_database) >= 2
-    assert len(rows.test_queries) == len(rows.test_database) >= 2
-    assert not set(rows.train_queries) & set(rows.test_queries)
-    assert not set(rows.train_database) & set(rows.test_database)
+    train, test = probe_split(queries, database, threshold, seed)
+    for half in (train, test):
+        assert len(half.queries) == len(half.database) >= 2
+    sizes = sorted(min(beyond[half].sum(), beyond[2 + half].sum()) for half in (0, 1))
+    assert sorted([len(train.queries), len(test.queries)]) == sizes, "nothing more than the gap and the balance leaves"
+    near, far = (np.concatenate([queries[half.queries], database[half.database]]) for half in (train, test))
+    assert np.linalg.norm(near[:, None] - far[None], axis=2).min() > threshold
 
 
 def test_the_probe_finds_a_linear_condition_and_only_that():
     rng = np.random.default_rng(3)
     where = np.column_stack([np.arange(200.0), np.zeros(200)])
     queries, database = rng.standard_normal((2, 200, 10))
-    assert abs(artifact.probe(queries, database, where, where, 5.0).accuracy - 0.5) < 0.12
-    queries[:, 4] += 4
-    assert artifact.probe(queries, database, where, where, 5.0).accuracy > 0.95
-    found = artifact.probe(
-        queries,
-        database,
-        where,
-        where,
-        5.0,
-        transform=lambda block, name: block - 4 * (name == "query") * np.eye(10)[4],
-    )
+    found = probe(queries, database, where, where, 10.0)
     assert abs(found.accuracy - 0.5) < 0.12
+    assert found.converged
+    assert [len(half.queries) for half in probe_split(where, where, 10.0)] == [95, 95]
+    queries[:, 4] += 4
+    assert probe(queries, database, where, where, 10.0).accuracy > 0.95
 
 
-@pytest.mark.parametrize(("n", "d"), [(40, 300), (150, 120), (30, 31)])
-def test_the_probe_is_the_default_classifier_whatever_the_shape(n, d):
-    """Fewer rows than columns are classified by the factor of their Gram matrix: the same classifier."""
-    rng = np.random.default_rng(n)
-    where = np.column_stack([np.arange(2.0 * n), np.zeros(2 * n)])
-    queries, database = rng.standard_normal((2, 2 * n, d)).astype(np.float32)
-    queries += 0.15
-    rows = probe_split(where, where, 3.0)
-    labels = np.repeat([0, 1], len(rows.train_queries))
-    train = np.concatenate([queries[rows.train_queries], database[rows.train_database]])
-    test = np.concatenate([queries[rows.test_queries], database[rows.test_database]])
-    plain = LinearSVC(random_state=0).fit(train.astype(np.float64), labels)
-    found = probe_on(queries, database, rows)
-    expected = plain.score(test.astype(np.float64), np.repeat([0, 1], len(rows.test_queries)))
-    assert abs(found.accuracy - expected) <= 1 / len(test)
-    assert found.converged == (plain.n_iter_ < plain.max_iter)
+@pytest.mark.parametrize(("n", "d"), [(120, 400), (400, 60)])
+@pytest.mark.parametrize("erased", [None, "low rank", "std"])
+def test_the_probe_is_the_default_classifier_on_the_transformed_descriptors(n, d, erased, monkeypatch):
+    """With fewer rows than columns and with more, read in many blocks: the accuracy of the classifier on the rows themselves."""
+    monkeypatch.setattr(importlib.import_module("artifact.suppression.probe"), "_BLOCK", 7 * d)
+    rng = np.random.default_rng(5)
+    queries, database = (rng.standard_normal((2, n, d)) + 0.12 * rng.standard_normal((2, 1, d))).astype(np.float32)
+    queries[1], where = queries[0], np.arange(float(n))  # two equal rows: their inner products are singular
+    both, condition = np.concatenate([queries, database]), np.repeat([0, 1], n)
+    few = np.arange(0, 2 * n, 3)
+    transform = {None: None, "low rank": LEACE(), "std": STD()}[erased]
+    shown = queries, database
+    if transform is not None:
+        transform.fit(both[few], condition[few])
+        shown = [transform.transform(x, *([c] if erased == "std" else [])) for c, x in enumerate(shown)]
+    train, test = probe_split(where, where, 3.0)
+    rows = [
+        np.concatenate([images[chosen] for images, chosen in zip(shown, half, strict=True)]) for half in (train, test)
+    ]
+    labels = [np.repeat([0, 1], len(half.queries)) for half in (train, test)]
+    expected = LinearSVC(random_state=0, max_iter=100_000).fit(rows[0], labels[0]).score(rows[1], labels[1])
+    found = probe(queries, database, where, where, 3.0, transform=transform)
+    assert 0.2 < expected < 1
+    assert found.accuracy == pytest.approx(expected, abs=1.01 / len(labels[1]))
 
 
-def test_a_probe_that_does_not_converge_says_so():
-    rng = np.random.default_rng(0)
-    where = np.column_stack([np.arange(400.0), np.zeros(400)])
-    queries = rng.standard_normal((400, 420))
-    assert not artifact.probe(queries, queries + 0.01 * rng.standard_normal((400, 420)), where, where, 2.0).converged
-    assert artifact.probe(queries + 1, queries - 1, where, where, 2.0).converged
+def test_a_probe_that_does_not_converge_says_so(monkeypatch):
+    module = importlib.import_module("artifact.suppression.probe")
+    monkeypatch.setattr(module, "LinearSVC", functools.partial(LinearSVC, max_iter=2))
+    queries, database = np.random.default_rng(0).standard_normal((2, 60, 200))
+    assert not probe(queries, database, np.arange(60.0), np.arange(60.0), 1.0).converged

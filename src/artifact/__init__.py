@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from artifact.metrics.evaluation import Evaluation
     from artifact.suppression.inlp import INLP
     from artifact.suppression.leace import LEACE
+    from artifact.suppression.loading import load_transform
     from artifact.suppression.lowrank import LowRankMap, compose
     from artifact.suppression.probe import probe
     from artifact.suppression.regions import fit_region, split
-    from artifact.suppression.saved import load_transform
     from artifact.suppression.std import STD
 
 __version__ = "1.0.0"
@@ -48,7 +48,7 @@ _HOMES = {
     "suppression.lowrank": ["LowRankMap", "compose"],
     "suppression.probe": ["probe"],
     "suppression.regions": ["fit_region", "split"],
-    "suppression.saved": ["load_transform"],
+    "suppression.loading": ["load_transform"],
     "metrics.evaluate": ["evaluate"],
     "metrics.evaluation": ["Evaluation"],
 }

@@ -167,16 +167,9 @@ def save_arrays(path: Path, arrays: Mapping[str, np.ndarray], sidecar: Mapping[s
     sidecar
         Everything that the result was made from; must hold its ``key``.
     """
-    write_arrays(path, arrays)
-    write_json(path.with_suffix(".json"), {**sidecar, "sha256": digest_of_file(path)})
-
-
-def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write named arrays to an ``.npz`` file, whole or not at all."""
-    if path.suffix != ".npz":
-        raise ValueError(f"{path}: the ending is {path.suffix!r}; arrays are written to .npz files")
     with replacing(path) as temporary:
         np.savez(temporary, allow_pickle=False, **arrays)
+    write_json(path.with_suffix(".json"), {**sidecar, "sha256": digest_of_file(path)})
 
 
 def load_arrays(path: Path, expected_key: str) -> dict[str, np.ndarray] | None:

@@ -131,17 +131,18 @@ def fitting_rates() -> list[float]:
 def probing_rates() -> list[float]:
     """Measure the four guardedness probes, with fewer rows than columns and with more: once easy, three times guarded."""
     from artifact.suppression.leace import LEACE
-    from artifact.suppression.probe import probe_on, probe_split
+    from artifact.suppression.probe import probe
 
     found = []
     for n, d in ((1000, 2048), (2000, 512)):  # rows to train on, columns
         queries, database, *places = synthetic(n, n, d)
-        rows = probe_split(*places, 25.0)
         few = n // 10  # as many as the paper fits on: what is left of the condition elsewhere is the slow case
         erase = LEACE().fit(np.concatenate([queries[:few], database[:few]]), np.repeat([0, 1], few)).transform
         guarded = erase(queries), erase(database)
-        easy = best_of(lambda queries=queries, database=database, rows=rows: probe_on(queries, database, rows), 1)
-        hard = best_of(lambda guarded=guarded, rows=rows: probe_on(*guarded, rows), 1)
+        easy = best_of(
+            lambda queries=queries, database=database, places=places: probe(queries, database, *places, 25.0), 1
+        )
+        hard = best_of(lambda guarded=guarded, places=places: probe(*guarded, *places, 25.0), 1)
         found.append((easy + 3 * hard) / (n * d))
     return found
 

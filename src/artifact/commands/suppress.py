@@ -12,8 +12,8 @@ from artifact.datasets import DatasetError
 from artifact.datasets.arrays import read_descriptors
 from artifact.suppression.inlp import INLP
 from artifact.suppression.leace import LEACE
+from artifact.suppression.loading import load_transform
 from artifact.suppression.lowrank import compose
-from artifact.suppression.saved import load_transform
 from artifact.suppression.std import STD
 
 QUERY, DATABASE = "query", "database"

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from artifact.metrics.evaluation import NO_POOL, QUERY_POOL, Evaluation, _is_integer
+from artifact.metrics.evaluation import Evaluation
+from artifact.metrics.result import QUERY_POOL, is_integer
 from artifact.ranking.one_pass import ImageSet, LowRank, Options, Similarity, rank, squared_norms
 
 _UNIT_TOLERANCE = 1e-3
@@ -45,7 +46,7 @@ def evaluate(
         distractor. Same unit as the positions.
     distractors, distractor_positions
         Distractor pool, or several by name. ``None`` takes the evaluated queries themselves, the paper's main
-        setting; ``{}`` takes none at all: DAR@K then is R@K.
+        setting; ``{}`` takes none, so that DAR@K equals R@K.
     views
         Suppression transforms to evaluate in the same pass, by name.
     similarity
@@ -81,27 +82,32 @@ def evaluate(
     >>> result = evaluate(day, night, where, where, threshold=25)
     >>> result.recall(1), result.dar(1), result.rsr(1), result.dar(2)
     (1.0, 0.0, 0.0, 1.0)
+    >>> evaluate(day, night, where, where, threshold=25, distractors={}).dar(1)
+    1.0
+    >>> result.per_query()[["query", "rank", "rank_with_distractors", "best_positive"]]
+       query  rank  rank_with_distractors  best_positive
+    0      0     1                      2              0
+    1      1     1                      2              1
     """
     options = _checked(Options(similarity, depth, draws, retrieve, view_sweeps, seed, memory, device))
-    threshold = _checked_threshold(threshold)
+    threshold = float(threshold)
+    if not np.isfinite(threshold) or threshold < 0:
+        raise ValueError(f"threshold is {threshold!r}; allowed: finite numbers from 0, in metres or frames")
     query_set = _image_set("queries", queries, query_positions, similarity)
     database_set = _image_set("database", database, database_positions, similarity)
     _same_width(("queries", query_set), ("database", database_set))
-    pools: dict[str, ImageSet | None] = {}
-    for name, (images, positions) in _named_pools(distractors, distractor_positions).items():
-        pools[name] = None
-        if images is not None:
-            pools[name] = pool = _image_set(f"distractors {name!r}", images, positions, similarity)
-            _same_width(("queries", query_set), (f"distractors {name!r}", pool))
+    pools = _pools(distractors, distractor_positions, query_set, similarity)
     ranking = rank(query_set, database_set, threshold, pools, views, options)
     evaluated = query_set.positions[ranking.evaluated]
     return Evaluation(
+        evaluated=ranking.evaluated,
+        n_listed=len(query_set),
         ranking=ranking,
         query_positions=evaluated,
         database_positions=database_set.positions,
         pool_positions={name: evaluated if pool is None else pool.positions for name, pool in pools.items()},
         threshold=threshold,
-        pool_name=next(iter(pools), NO_POOL),
+        pool_name=next(iter(pools)),
     )
 
 
@@ -110,32 +116,38 @@ def _checked(options: Options) -> Options:
         raise ValueError(f"similarity is {options.similarity!r}; allowed: 'cosine', 'l2', 'dot'")
     for name, lowest in {"depth": 1, "draws": 0, "retrieve": 0, "seed": 0, "memory": 2**20}.items():
         value = getattr(options, name)
-        if not _is_integer(value) or value < lowest:
+        if not is_integer(value) or value < lowest:
             raise ValueError(f"{name} is {value!r}; allowed: whole numbers from {lowest}")
     if not isinstance(options.view_sweeps, bool):
         raise TypeError(f"view_sweeps is {options.view_sweeps!r}; allowed: True, False")
     return options
 
 
-def _named_pools(distractors: Any, positions: Any) -> dict[str, tuple[Any, Any]]:
+def _pools(distractors: Any, positions: Any, queries: ImageSet, similarity: Similarity) -> dict[str, ImageSet | None]:
     if distractors is None:
         if positions is not None:
             raise ValueError("distractor_positions are given without distractors")
-        return {QUERY_POOL: (None, None)}
-    if isinstance(distractors, Mapping) and not distractors and not positions:
-        return {}
+        return {QUERY_POOL: None}
+    named = isinstance(distractors, Mapping)
+    if named and not distractors and (positions is None or positions == {}):
+        return {"none": ImageSet(queries.descriptors[:0], queries.positions[:0])}
     if positions is None:
         raise ValueError("distractors are given without distractor_positions")
-    if isinstance(distractors, Mapping) != isinstance(positions, Mapping):
+    if named != isinstance(positions, Mapping):
         raise TypeError("distractors and distractor_positions must both be arrays or both be mappings by name")
-    if not isinstance(distractors, Mapping):
-        return {"distractors": (distractors, positions)}
+    if not named:
+        distractors, positions = {"distractors": distractors}, {"distractors": positions}
     if set(distractors) != set(positions):
         raise ValueError(
             f"distractors are named {sorted(distractors)}, distractor_positions {sorted(positions)}; "
             f"both need the same names"
         )
-    return {name: (distractors[name], positions[name]) for name in distractors}
+    pools: dict[str, ImageSet | None] = {}
+    for name, images in distractors.items():
+        pool = _image_set(f"distractors {name!r}", images, positions[name], similarity)
+        _same_width(("queries", queries), (f"distractors {name!r}", pool))
+        pools[name] = pool
+    return pools
 
 
 def _image_set(name: str, descriptors: Any, positions: Any, similarity: str) -> ImageSet:
@@ -151,38 +163,25 @@ def _image_set(name: str, descriptors: Any, positions: Any, similarity: str) -> 
             f"{name}: positions have the shape {np.shape(positions)} for {len(descriptors)} descriptors; "
             f"allowed: ({len(descriptors)}, p)"
         )
-    if not np.isfinite(where).all():
-        raise ValueError(f"{name}: the position of row {_first(~np.isfinite(where).all(axis=1))} is not finite")
-    squared = squared_norms(descriptors)
-    if not np.isfinite(squared).all():
-        raise ValueError(f"{name}: row {_first(~np.isfinite(squared))} of the descriptors has NaN or infinite values")
-    if (squared == 0).any():
-        raise ValueError(f"{name}: row {_first(squared == 0)} of the descriptors is all zeros and has no direction")
-    lengths = np.sqrt(squared)
-    if similarity != "cosine" and (np.abs(lengths - 1) > _UNIT_TOLERANCE).any():
-        row = _first(np.abs(lengths - 1) > _UNIT_TOLERANCE)
-        raise ValueError(
-            f"{name}: row {row} has length {lengths[row]:.4g}; similarity {similarity!r} needs unit-length "
-            f"descriptors: divide each row by its length, or use 'cosine'"
-        )
+    lengths = np.sqrt(squared_norms(descriptors))
+    for wrong, message in (
+        (~np.isfinite(where).all(axis=1), "the position of row {row} is not finite"),
+        (~np.isfinite(lengths), "row {row} of the descriptors has NaN or infinite values"),
+        (lengths == 0, "row {row} of the descriptors is all zeros and has no direction"),
+        (
+            (similarity != "cosine") & (np.abs(lengths - 1) > _UNIT_TOLERANCE),
+            "row {row} has length {length:.4g}; similarity {similarity!r} needs unit-length descriptors: divide each row by its "
+            "length, or use 'cosine'",
+        ),
+    ):
+        if wrong.any():
+            row = int(wrong.argmax())
+            raise ValueError(f"{name}: " + message.format(row=row, length=lengths[row], similarity=similarity))
     return ImageSet(descriptors, np.ascontiguousarray(where))
 
 
 def _same_width(first: tuple[str, ImageSet], second: tuple[str, ImageSet]) -> None:
-    for kind, widths in (
-        ("descriptors", [s.descriptors.shape[1] for _, s in (first, second)]),
-        ("positions", [s.positions.shape[1] for _, s in (first, second)]),
-    ):
+    for kind in ("descriptors", "positions"):
+        widths = [getattr(images, kind).shape[1] for _, images in (first, second)]
         if widths[0] != widths[1]:
             raise ValueError(f"{kind} have {widths[0]} columns in {first[0]} and {widths[1]} in {second[0]}")
-
-
-def _first(mask: Any) -> int:
-    return int(np.flatnonzero(mask)[0])
-
-
-def _checked_threshold(threshold: float) -> float:
-    value = float(threshold)
-    if not np.isfinite(value) or value < 0:
-        raise ValueError(f"threshold is {threshold!r}; allowed: finite numbers from 0, in metres or frames")
-    return value

@@ -10,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import kendalltau
 
-from artifact.metrics.evaluation import Evaluation
+from artifact.metrics.result import Result
 
 
 @dataclass(frozen=True)
@@ -24,14 +25,7 @@ class Interval:
 
 
 def block_length(positions: np.ndarray, threshold: float) -> int:
-    """Return how many consecutive queries share a place: those within twice the threshold along the path.
-
-    Parameters
-    ----------
-    positions
-        ``(n, p)`` in metres or frames.
-    threshold
-        Positive threshold in the same unit.
+    """Return how many consecutive queries at ``(n, p)`` share a place: those within twice the threshold along the path.
 
     Examples
     --------
@@ -52,22 +46,11 @@ def resamples(n: int, block: int, count: int, seed: int) -> np.ndarray:
 
 
 def intervals(
-    result: Evaluation, k: int = 1, *, confidence: float = 0.95, count: int = 1000, seed: int = 0
+    result: Result, k: int = 1, *, confidence: float = 0.95, count: int = 1000, seed: int = 0
 ) -> dict[str, Interval]:
-    """Return bootstrap intervals of R@K, DAR@K and RSR@K, as fractions.
+    """Return bootstrap intervals of R@K, DAR@K and RSR@K, as fractions; of RSR numerator and denominator together.
 
-    Numerator and denominator of RSR are resampled together.
-
-    Parameters
-    ----------
-    result
-        The evaluation.
-    k
-        K.
-    confidence
-        Share of resamples inside the interval.
-    count, seed
-        Number of resamples and their seed.
+    ``confidence`` is the share of resamples inside an interval, ``count`` and ``seed`` their number and seed.
     """
     draws = resamples(result.n_queries, block_length(result.query_positions, result.threshold), count, seed)
     recall = result.hits(k, distractors=False)[draws].mean(axis=1)
@@ -93,21 +76,9 @@ def interval_of_means(
     count: int = 1000,
     seed: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return bootstrap intervals of the means of several per-query values.
+    """Return the ends, ``(m,)`` each, of bootstrap intervals of the means of ``(n, m)`` hits or chances of a hit.
 
-    Parameters
-    ----------
-    values
-        ``(n, m)``: for each query, m hits or chances of a hit.
-    positions, threshold
-        Of the queries; they give the length of the blocks, see :func:`block_length`.
-    confidence, count, seed
-        As in :func:`intervals`.
-
-    Returns
-    -------
-    low, high
-        ``(m,)`` each.
+    Positions and threshold of the queries give the length of the blocks; the rest is as in :func:`intervals`.
     """
     draws = resamples(len(values), block_length(positions, threshold), count, seed)
     # How often each query is drawn says all about a mean, and needs no array of draws × queries × m.
@@ -125,6 +96,4 @@ def rank_agreement(values: np.ndarray, other_values: np.ndarray) -> float:
     >>> round(rank_agreement(np.array([1.0, 2.0, 3.0]), np.array([1.0, 3.0, 2.0])), 9)
     0.333333333
     """
-    from scipy.stats import kendalltau  # takes a second to import, which most pages need not wait for
-
     return float(kendalltau(values, other_values).statistic) if len(values) > 1 else float("nan")

@@ -7,7 +7,7 @@ distance and K can be asked for afterwards. Unlike for one-stage methods the ran
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,22 +21,24 @@ from artifact.ranking.one_pass import Options, draw_orders
 class Steps:
     """Ranks that change while distractors are added in order of a key: a step function for each row.
 
-    Attributes
-    ----------
-    starts
-        ``(rows + 1,)``; row ``i`` has the steps ``starts[i]`` to ``starts[i + 1]``, the first of which is the rank
-        without distractors.
-    keys, ranks
-        From a distractor's key on (inclusive), the rank.
+    Row ``i`` has the steps from ``starts[i]`` up to ``starts[i + 1]``: from a distractor's key on (inclusive), the rank; the
+    first is the rank without distractors.
     """
 
     starts: np.ndarray
     keys: np.ndarray
     ranks: np.ndarray
 
+    @classmethod
+    def joined(cls, rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> Steps:
+        """Join the keys and ranks of all rows."""
+        keys, ranks = zip(*rows, strict=True)
+        return cls(np.concatenate([[0], np.cumsum([len(one) for one in keys])]), *map(np.concatenate, (keys, ranks)))
+
     def below(self, limits: np.ndarray) -> np.ndarray:
         """Return ``(rows, len(limits))`` ranks with the distractors whose key is below each limit."""
-        return _ranks_below(self.starts, self.keys, self.ranks, np.asarray(limits, np.float64))
+        ranks: np.ndarray = _ranks_below(self.starts, self.keys, self.ranks, np.asarray(limits, np.float64))
+        return ranks
 
 
 @dataclass(frozen=True)
@@ -67,8 +69,7 @@ class Sweep:
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Sweep:
         """Rebuild from :meth:`arrays`."""
         number, distance = (
-            Steps(*(arrays[f"{part}_{name}"] for name in ("starts", "keys", "ranks")))
-            for part in ("number", "distance")
+            Steps(*(arrays[f"{p}_{n}"] for n in ("starts", "keys", "ranks"))) for p in ("number", "distance")
         )
         return cls(number, distance, int(arrays["draws"]))
 
@@ -92,13 +93,12 @@ def sweep(
     problem = Problem.of(queries, database, threshold, candidates)
     pool = problem.queries if pool is None else pool
     orders = draw_orders(len(pool), Options(draws=draws, seed=seed)).astype(np.float64)
-    number, distance = _StepsBuilder(), _StepsBuilder()
+    number, distance = [], []
     for _, found in scored_entries(problem, {"": pool}, scores, orders):
         kind, second, keys = found[""].kind, found[""].second, found[""].keys
-        for draw in range(draws):
-            number.add(*_steps(kind, second, keys[:, draw], problem.candidates))
-        distance.add(*_steps(kind, second, keys[:, draws], problem.candidates))
-    return Sweep(number.steps(), distance.steps(), draws)
+        number += [_steps(kind, second, keys[:, draw], candidates) for draw in range(draws)]
+        distance.append(_steps(kind, second, keys[:, draws], candidates))
+    return Sweep(Steps.joined(number), Steps.joined(distance), draws)
 
 
 def check_numbers(candidates: int, draws: int) -> None:
@@ -108,25 +108,11 @@ def check_numbers(candidates: int, draws: int) -> None:
             raise ValueError(f"{name} is {value}; allowed: whole numbers from 1")
 
 
-class _StepsBuilder:
-    def __init__(self) -> None:
-        self._keys: list[np.ndarray] = []
-        self._ranks: list[np.ndarray] = []
-
-    def add(self, keys: np.ndarray, ranks: np.ndarray) -> None:
-        self._keys.append(keys)
-        self._ranks.append(ranks)
-
-    def steps(self) -> Steps:
-        starts = np.concatenate([[0], np.cumsum([len(keys) for keys in self._keys])])
-        return Steps(starts, np.concatenate(self._keys), np.concatenate(self._ranks))
-
-
 @njit(nogil=True, cache=True)
 def rank_of_best(kind: np.ndarray, second: np.ndarray, against: bool) -> int:
     """Rank of the best positive among candidates in first-stage order; 0 if there is none.
 
-    Candidates level with it count when they stand before it, or all if ties go against the query.
+    Equal ones count when they stand before it, or all if ties go against the query.
     """
     best = -1
     for place in range(kind.size):
@@ -137,8 +123,8 @@ def rank_of_best(kind: np.ndarray, second: np.ndarray, against: bool) -> int:
     rank = 1
     for place in range(kind.size):
         if kind[place] != POSITIVE:
-            level = second[place] == second[best] and (against or place < best)
-            rank += second[place] > second[best] or level
+            equal = second[place] == second[best] and (against or place < best)
+            rank += second[place] > second[best] or equal
     return rank
 
 

@@ -75,7 +75,7 @@ def distractor_story(measured: Measured) -> HTML:
     place, alone = result.retrieved(1, distractors=False)
     margins = score[lost, 0] - alone[lost, 0]
     query = lost[np.argsort(margins, kind="stable")[len(lost) // 2]]
-    distractor = int(top[query, 0]) - result.ranking.n_database
+    distractor = int(top[query, 0]) - result.n_database
     away = _away(dataset, result, query, distractor)
     by_query, by_database = dataset.query.condition, dataset.database.condition
     images = [int(result.evaluated[query]), int(place[query, 0]), int(result.evaluated[distractor])]
@@ -131,7 +131,7 @@ def recovered_strips(erased: Erased, view: str, n: int = 4) -> HTML:
     queries = split.evaluation_queries[before.evaluated]
     strips, notes = [], []
     for query in recovered[_spread(len(recovered), n)]:
-        distractor = int(winner[query]) - before.ranking.n_database
+        distractor = int(winner[query]) - before.n_database
         strips.append(
             [
                 (dataset.query, int(queries[query]), QUERY_COLOUR),
@@ -157,7 +157,7 @@ def retrieval_strips(measured: Measured, n: int = 4) -> HTML:
     alone, augmented = (result.retrieved(1, distractors=added)[0][:, 0] for added in (False, True))
     strips, notes = [], []
     for query in lost[_spread(len(lost), n)]:
-        distractor = int(augmented[query]) - result.ranking.n_database
+        distractor = int(augmented[query]) - result.n_database
         strips.append(
             [
                 (dataset.query, int(result.evaluated[query]), QUERY_COLOUR),

@@ -70,7 +70,7 @@ def suppression_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int 
         "Original descriptors in percent, changes in percentage points. Fitted on: queries + database images of the "
         "fitting region."
     )
-    unconverged = int((~frame["probe_converged"]).sum())
+    unconverged = int(frame["probe_unconverged"].sum())
     if unconverged:
         caption += f" Of {len(frame)} probes, {unconverged} did not converge within scikit-learn's default of 1,000 iterations."
     return table(rows, text=2, caption=caption)

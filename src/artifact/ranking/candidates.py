@@ -11,13 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
-from artifact.datasets.positives import positives_of
-from artifact.ranking.one_pass import squared_norms
+from artifact.ranking.one_pass import evaluated_queries, squared_norms
 
 Scores = Callable[[Any, np.ndarray, Any, np.ndarray], np.ndarray]
 """Second stage: ``(queries, query rows, images, image rows)`` to ``(p,)`` scores, larger is better."""
@@ -51,13 +50,7 @@ class Images:
 
     @classmethod
     def of(cls, first: np.ndarray, second: Any, positions: np.ndarray) -> Images:
-        """Check and combine what is known of the images.
-
-        Raises
-        ------
-        ValueError
-            If the numbers of images differ or ``first`` is of another type.
-        """
+        """Check and combine what is known of the images, or raise ``ValueError``."""
         where = np.asarray(positions, np.float64)
         where = where[:, None] if where.ndim == 1 else where
         if not len(first) == len(second) == len(where) > 0:
@@ -75,51 +68,27 @@ class Images:
     def __len__(self) -> int:
         return len(self.positions)
 
-    def take(self, chosen: np.ndarray) -> Images:
+    def take(self, chosen: np.ndarray | slice) -> Images:
         """Return some of the images."""
         return Images(self.first[chosen], self.second, self.positions[chosen], self.rows[chosen])
 
 
-@dataclass(frozen=True)
-class Entries:
+class Entries(NamedTuple):
     """Possible candidates of one query in first-stage order: by similarity, then kind, then index.
 
-    Attributes
-    ----------
-    kind
-        ``(e,)`` int8: positive, other database image, or distractor.
-    index
-        ``(e,)`` int64 index in the database or pool.
-    first, second
-        ``(e,)`` float32 scores of the two stages.
-    keys
-        ``(e, k)`` float64 keys of the distractors; 0 for database images.
+    ``kind`` is int8: positive, other database image, or distractor; ``image`` its int64 index in the database or pool; ``first`` and
+    ``second`` the float32 scores of the stages; ``keys`` ``(e, k)`` float64 keys of the distractors, 0 for database images.
     """
 
     kind: np.ndarray
-    index: np.ndarray
+    image: np.ndarray
     first: np.ndarray
     second: np.ndarray
     keys: np.ndarray
 
 
-@dataclass(frozen=True)
-class Problem:
-    """What is evaluated: the queries that have a positive, and the database.
-
-    Attributes
-    ----------
-    queries, evaluated
-        The evaluated queries, and their indices among those given.
-    database
-        The database.
-    starts, positives
-        The positives of query ``i`` are ``positives[starts[i]:starts[i + 1]]``.
-    threshold
-        Distractors are farther than it.
-    candidates
-        N.
-    """
+class Problem(NamedTuple):
+    """The evaluated queries and the database, N, and the rows of the ``positives`` of query i: from ``starts[i]`` on."""
 
     queries: Images
     evaluated: np.ndarray
@@ -131,68 +100,34 @@ class Problem:
 
     @classmethod
     def of(cls, queries: Images, database: Images, threshold: float, candidates: int) -> Problem:
-        """Keep the queries that have a positive.
-
-        Raises
-        ------
-        ValueError
-            If there is none.
-        """
-        starts, positives = positives_of(queries.positions, database.positions, threshold)
-        evaluated = np.flatnonzero(np.diff(starts))
-        if evaluated.size == 0:
-            raise ValueError(
-                f"none of the {len(queries)} queries has a database image within the threshold {threshold:g}; "
-                f"check that both positions use the same coordinates and that the threshold is in their unit"
-            )
-        starts = np.concatenate([[0], np.cumsum(np.diff(starts)[evaluated])])
+        """Keep the queries that have a positive."""
+        evaluated, starts, positives = evaluated_queries(queries.positions, database.positions, threshold)
         return cls(queries.take(evaluated), evaluated, database, starts, positives, threshold, candidates)
 
 
 def scored_entries(
     problem: Problem, pools: Mapping[str, Images | None], scores: Scores, orders: np.ndarray | None = None
 ) -> Iterator[tuple[int, dict[str, Entries]]]:
-    """Yield each query with its possible candidates from the database and each pool, scored by the second stage.
+    """Yield each query with its possible candidates, by pool: from the database and the pool, scored by the second stage.
 
-    Parameters
-    ----------
-    problem
-        Queries and database.
-    pools
-        Distractor pools by name; ``None`` is no distractors.
-    scores
-        The second stage; it is asked for each pair once.
-    orders
-        ``None`` for all distractors at once. Else ``(pool, draws)`` places of the images of the only pool in random
-        orders: entries then suffice for any first part of each order and for any minimum distance, and their keys are
-        the places, followed by the negative distance.
-
-    Yields
-    ------
-    query
-        Index among the evaluated queries, ascending.
-    entries
-        By pool.
-
-    Raises
-    ------
-    ValueError
-        If a score is not finite.
+    ``None`` as a pool is no distractors. ``orders`` is ``None`` for all distractors at once, else ``(pool, draws)`` places of
+    the images of the only pool in random orders: entries then suffice for any first part of each order and for any minimum
+    distance, and their keys are the places, followed by the negative distance. Each pair is scored once.
     """
-    compared: dict[str | None, np.ndarray] = {None: _comparable(problem.database.first)}
-    compared |= {name: _comparable(pool.first) for name, pool in pools.items() if pool is not None}
+    database = _comparable(problem.database.first)
+    compared = {name: _comparable(pool.first) for name, pool in pools.items() if pool is not None}
     wanted = _comparable(problem.queries.first)
     for start in range(0, len(wanted), _BLOCK):
         block = range(start, min(start + _BLOCK, len(wanted)))
-        tiles = {name: wanted[block.start : block.stop] @ images.T for name, images in compared.items()}
-        near = [_from_database(problem, query, row) for query, row in zip(block, tiles[None], strict=True)]
+        rows = wanted[block.start : block.stop]
+        near = [_from_database(problem, query, row) for query, row in zip(block, rows @ database.T, strict=True)]
         _score(problem, block, near, problem.database, scores)
         found = dict.fromkeys(pools, near)
         for name, pool in pools.items():
             if pool is not None:
                 far = [
                     _from_pool(problem, query, row, pool, orders, entries)
-                    for query, row, entries in zip(block, tiles[name], near, strict=True)
+                    for query, row, entries in zip(block, rows @ compared[name].T, near, strict=True)
                 ]
                 _score(problem, block, far, pool, scores)
                 found[name] = [_merged(*both) for both in zip(near, far, strict=True)]
@@ -201,11 +136,8 @@ def scored_entries(
 
 
 def _comparable(first: np.ndarray) -> np.ndarray:
-    """Return float32 rows whose dot product orders images as the first stage does.
-
-    Codes become +1 and -1: the dot product, exact in float32, is the number of bits less twice the Hamming distance.
-    """
-    if first.dtype == np.uint8:
+    """Return float32 rows whose dot product orders images as the first stage does."""
+    if first.dtype == np.uint8:  # +1 and -1: the product, exact, is the number of bits less twice the Hamming distance
         return 2.0 * np.unpackbits(first, axis=1).astype(np.float32) - 1.0
     return (first / np.sqrt(squared_norms(first))[:, None]).astype(np.float32)
 
@@ -217,10 +149,10 @@ def _from_database(problem: Problem, query: int, similarity: np.ndarray) -> Entr
     others = np.ones(len(similarity), bool)
     others[positives] = False
     positives, others = _leading(similarity, positives, n), _leading(similarity, np.flatnonzero(others), n)
-    levels, other_levels = similarity[positives], similarity[others]
+    similarities, of_others = similarity[positives], similarity[others]
     # Positives lead their equals if ties favour the query, and come last if not.
-    positives = positives[np.arange(len(positives)) + _above(other_levels, levels) < n]
-    others = others[np.arange(len(others)) + _above(levels, other_levels) < n]
+    positives = positives[np.arange(len(positives)) + _above(of_others, similarities) < n]
+    others = others[np.arange(len(others)) + _above(similarities, of_others) < n]
     kind = np.repeat(np.array([POSITIVE, DATABASE], np.int8), [len(positives), len(others)])
     index = np.concatenate([positives, others])
     keys = np.zeros((len(index), 0))
@@ -237,8 +169,12 @@ def _from_pool(
     floor = others[n - 1] if len(others) >= n else np.float32(-np.inf)
     members = np.flatnonzero((apart > problem.threshold) & (similarity > floor))
     members = _leading(similarity, members, n if orders is None else len(members))
-    levels = similarity[members]
-    before = len(others) - np.searchsorted(others[::-1], levels) + _above(near.first[near.kind == POSITIVE], levels)
+    similarities = similarity[members]
+    before = (
+        len(others)
+        - np.searchsorted(others[::-1], similarities)
+        + _above(near.first[near.kind == POSITIVE], similarities)
+    )
     if orders is None:
         keys = np.zeros((len(members), 0))
         members = members[np.arange(len(members)) + before < n]
@@ -258,9 +194,9 @@ def _leading(similarity: np.ndarray, members: np.ndarray, n: int) -> np.ndarray:
     return members[np.argsort(-similarity[members], kind="stable")[:n]]
 
 
-def _above(descending: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """Return how many of some descending values are strictly above each level."""
-    return len(descending) - np.searchsorted(descending[::-1], levels, side="right")
+def _above(descending: np.ndarray, similarities: np.ndarray) -> np.ndarray:
+    """Return how many of some descending values are strictly above each."""
+    return len(descending) - np.searchsorted(descending[::-1], similarities, side="right")
 
 
 @njit(nogil=True, cache=True)
@@ -295,11 +231,11 @@ def _reachable(before: np.ndarray, keys: np.ndarray, n: int) -> np.ndarray:
 
 def _score(problem: Problem, block: range, parts: list[Entries], images: Images, scores: Scores) -> None:
     """Write the second-stage scores of a block of queries into their entries."""
-    lengths = [len(entries.index) for entries in parts]
+    lengths = [len(entries.image) for entries in parts]
     if not sum(lengths):
         return
     owners = problem.queries.rows[np.repeat(np.arange(block.start, block.stop), lengths)]
-    index = np.concatenate([entries.index for entries in parts])
+    index = np.concatenate([entries.image for entries in parts])
     values = scores(problem.queries.second, owners, images.second, images.rows[index])
     if not np.isfinite(values).all():
         pair = int(np.flatnonzero(~np.isfinite(values))[0])
@@ -312,13 +248,10 @@ def _score(problem: Problem, block: range, parts: list[Entries], images: Images,
 
 
 def _merged(near: Entries, far: Entries) -> Entries:
-    keys = np.concatenate([np.zeros((len(near.index), far.keys.shape[1])), far.keys])
-    kind, index, first, second = (
-        np.concatenate([getattr(near, name), getattr(far, name)]) for name in ("kind", "index", "first", "second")
-    )
-    return _sorted(Entries(kind, index, first, second, keys))
+    near = near._replace(keys=np.zeros((len(near.image), far.keys.shape[1])))
+    return _sorted(Entries(*(np.concatenate(parts) for parts in zip(near, far, strict=True))))
 
 
 def _sorted(entries: Entries) -> Entries:
-    order = np.lexsort((entries.index, entries.kind, -entries.first))
-    return Entries(*(getattr(entries, n)[order] for n in ("kind", "index", "first", "second", "keys")))
+    order = np.lexsort((entries.image, entries.kind, -entries.first))
+    return Entries(*(part[order] for part in entries))

@@ -1,11 +1,9 @@
-"""Counting in one tile of similarities: how many database images and distractors beat the best positive.
+"""Counting in one tile of similarities: how many database images and distractors outrank the best positive.
 
-Counting replaces sorting: a query is a hit at K exactly when fewer than K images beat its best positive. The
-kernels below read each similarity once. They are compiled by Numba for the CPU and written again in PyTorch for
-other devices; the tests hold both against a literal sort.
-
-A similarity is ``(value - correction) * scale + bias``, with one scale and bias per column, so that cosine, dot
-product and Euclidean distance, and low-rank transformed descriptors, all come from one plain matrix product.
+Counting replaces sorting: a query is a hit at K exactly when fewer than K images outrank its best positive. The kernels
+are compiled by Numba for the CPU and written again in PyTorch for other devices. A similarity is
+``(value - correction) * scale + bias`` with one scale and bias per column, so that all three kinds, also of low-rank
+transformed descriptors, come from one plain matrix product.
 """
 
 from __future__ import annotations
@@ -53,23 +51,21 @@ class Counts(NamedTuple):
 
     Attributes
     ----------
-    best
-        ``(n,)`` float32, similarity of the best positive.
-    positive
-        ``(n,)`` int64, database index of the best positive, the first of several; -1 in the counts of a pool.
+    best, best_index
+        ``(n,)`` float32 similarity, up to a factor of the query, and int64 database index of the best positive.
     outranking, ties
         ``(n,)`` int64, images strictly above ``best`` and, among the others that are not positives, equal to it.
     farthest
-        ``(n, depth)`` float64, distances of the farthest outranking, descending; ``-inf`` where there are fewer.
+        ``(n, depth)`` float64, distances of the farthest outranking images, descending; ``-inf`` where there are fewer.
     first
-        ``(n, depth, draws)`` int32, smallest places of the outranking in each random order, ascending; the largest
+        ``(n, depth, draws)`` int32, smallest places of the outranking images in each random order, ascending; the largest
         int32 where there are fewer.
     top_similarity, top_index
         ``(n, k)`` the most similar images, descending; ``-inf`` and -1 where there are fewer.
     """
 
     best: np.ndarray
-    positive: np.ndarray
+    best_index: np.ndarray
     outranking: np.ndarray
     ties: np.ndarray
     farthest: np.ndarray
@@ -82,7 +78,7 @@ class Counts(NamedTuple):
         """Return counts of nothing for ``n`` queries."""
         return cls(
             best=np.full(n, -np.inf, np.float32),
-            positive=np.full(n, -1, np.int64),
+            best_index=np.full(n, -1, np.int64),
             outranking=np.zeros(n, np.int64),
             ties=np.zeros(n, np.int64),
             farthest=np.full((n, depth), -np.inf),
@@ -90,9 +86,6 @@ class Counts(NamedTuple):
             top_similarity=np.full((n, top), -np.inf, np.float32),
             top_index=np.full((n, top), -1, np.int64),
         )
-
-
-# -- CPU ----------------------------------------------------------------------------------------------------
 
 
 @njit(nogil=True, cache=True)
@@ -130,47 +123,50 @@ def _insert_places(first: np.ndarray, places: np.ndarray) -> None:
 
 
 @njit(nogil=True, cache=True)
-def _similarities(
-    row: np.ndarray, correction: np.ndarray, scale: np.ndarray, bias: np.ndarray, out: np.ndarray
-) -> None:
+def _similarities(tile: Tile, row: int, out: np.ndarray) -> None:
     """Write the similarities of one tile row; an empty correction changes nothing."""
-    if correction.size:
+    values, scale, bias = tile.values[row], tile.scale, tile.bias
+    if tile.correction.shape[0]:
+        correction = tile.correction[row]
         for column in range(out.size):
-            out[column] = (row[column] - correction[column]) * scale[column] + bias[column]
+            out[column] = (values[column] - correction[column]) * scale[column] + bias[column]
     else:
         for column in range(out.size):
-            out[column] = row[column] * scale[column] + bias[column]
+            out[column] = values[column] * scale[column] + bias[column]
+
+
+@njit(nogil=True, cache=True)
+def _above_and_equal(similarity: np.ndarray, positive: np.floating) -> tuple[int, int]:
+    above, equal = 0, 0
+    for column in range(similarity.size):
+        above += similarity[column] > positive
+        equal += similarity[column] == positive
+    return above, equal
 
 
 @njit(nogil=True, cache=True)
 def database_rows(tile: Tile, groups: Groups, counts: Counts) -> None:
-    """Find the best positive of each row and count the columns above it and level with it.
+    """Find the best positive of each row and count the columns above it and equal to it.
 
     The tile holds every database image of its rows; ``groups`` are the positives.
     """
-    values, correction, scale, bias, offset, _ = tile
     starts, positives = groups
-    best, outranking, ties = counts.best, counts.outranking, counts.ties
-    top_similarity, top_index = counts.top_similarity, counts.top_index
-    columns = values.shape[1]
+    best, best_index, outranking, ties, _, _, top_similarity, top_index = counts
+    rows, columns = tile.values.shape
     similarity = np.empty(columns, np.float32)
-    nothing = np.empty(0, np.float32)
     top = top_similarity.shape[1]
-    for row in range(values.shape[0]):
-        _similarities(values[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
-        query = offset + row
-        level, winner = np.float32(-np.inf), -1
+    for row in range(rows):
+        _similarities(tile, row, similarity)
+        query = tile.first_row + row
+        positive = np.float32(-np.inf)
         for entry in range(starts[query], starts[query + 1]):
-            if similarity[positives[entry]] > level:
-                level, winner = similarity[positives[entry]], positives[entry]
-        above, equal = 0, 0
-        for column in range(columns):
-            above += similarity[column] > level
-            equal += similarity[column] == level
+            if similarity[positives[entry]] > positive:
+                positive = similarity[positives[entry]]
+                best_index[query] = positives[entry]
+        above, equal = _above_and_equal(similarity, positive)
         for entry in range(starts[query], starts[query + 1]):
-            equal -= similarity[positives[entry]] == level
-        best[query], outranking[query], ties[query] = level, above, equal
-        counts.positive[query] = winner
+            equal -= similarity[positives[entry]] == positive
+        best[query], outranking[query], ties[query] = positive, above, equal
         if top:
             for column in range(columns):
                 if similarity[column] > top_similarity[query, top - 1]:
@@ -184,27 +180,21 @@ def pool_counts(tile: Tile, groups: Groups, counts: Counts) -> None:
     ``groups`` are the pool images that each query may not use: everything is counted and those few are taken back, so
     that no distance is computed.
     """
-    values, correction, scale, bias, offset, first_column = tile
     starts, near = groups
-    best, outranking, ties = counts.best, counts.outranking, counts.ties
-    columns = values.shape[1]
+    rows, columns = tile.values.shape
     similarity = np.empty(columns, np.float32)
-    nothing = np.empty(0, np.float32)
-    for row in range(values.shape[0]):
-        _similarities(values[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
-        query = offset + row
-        level = best[query]
-        above, equal = 0, 0
-        for column in range(columns):
-            above += similarity[column] > level
-            equal += similarity[column] == level
+    for row in range(rows):
+        _similarities(tile, row, similarity)
+        query = tile.first_row + row
+        positive = counts.best[query]
+        above, equal = _above_and_equal(similarity, positive)
         for entry in range(starts[query], starts[query + 1]):
-            column = near[entry] - first_column
+            column = near[entry] - tile.first_column
             if 0 <= column < columns:
-                above -= similarity[column] > level
-                equal -= similarity[column] == level
-        outranking[query] += above
-        ties[query] += equal
+                above -= similarity[column] > positive
+                equal -= similarity[column] == positive
+        counts.outranking[query] += above
+        counts.ties[query] += equal
 
 
 @njit(nogil=True, cache=True)
@@ -222,25 +212,23 @@ def _distances(here: np.ndarray, pool_positions: np.ndarray, begin: int, out: np
 
 @njit(nogil=True, cache=True)
 def pool_rows(tile: Tile, places: Places, orders: np.ndarray, earliest: np.ndarray, counts: Counts) -> None:
-    """Count the allowed distractors of a tile that beat, or are level with, each row's best positive.
+    """Count the allowed distractors of a tile that outrank, or are as similar as, each row's best positive.
 
     ``orders`` is ``(pool, draws)``: the place of each pool image in each random order, and ``earliest`` its smallest
     place. Columns go by in chunks: the loops over a chunk have no branches, and only a chunk that changes a list is
     looked at image by image.
     """
-    matrix, correction, scale, bias, offset, first_column = tile
     positions, pool_positions, threshold = places
     best, _, outranking, ties, farthest, first, top_similarity, top_index = counts
-    columns = matrix.shape[1]
+    rows, columns = tile.values.shape
     similarity = np.empty(columns, np.float32)
-    nothing = np.empty(0, np.float32)
     distance = np.empty(_CHUNK)
     top, depth, draws = top_similarity.shape[1], farthest.shape[1], first.shape[2]
-    for row in range(matrix.shape[0]):
-        _similarities(matrix[row], correction[row] if correction.shape[0] else nothing, scale, bias, similarity)
-        query = offset + row
-        level = best[query]
-        floor = min(level, top_similarity[query, top - 1]) if top else level
+    for row in range(rows):
+        _similarities(tile, row, similarity)
+        query = tile.first_row + row
+        positive = best[query]
+        floor = min(positive, top_similarity[query, top - 1]) if top else positive
         reached = 0
         for column in range(columns):
             reached += similarity[column] >= floor
@@ -254,7 +242,7 @@ def pool_rows(tile: Tile, places: Places, orders: np.ndarray, earliest: np.ndarr
             if reached == 0:
                 continue
             apart = distance[: values.size]
-            image = first_column + begin
+            image = tile.first_column + begin
             _distances(positions[query], pool_positions, image, apart)
             above, equal, farther, earlier, higher = 0, 0, 0, 0, 0
             limit = farthest[query, depth - 1]
@@ -262,9 +250,9 @@ def pool_rows(tile: Tile, places: Places, orders: np.ndarray, earliest: np.ndarr
             shown = top_similarity[query, top - 1] if top else np.float32(np.inf)
             for place in range(values.size):
                 allowed = apart[place] > threshold
-                outranks = allowed & (values[place] > level)
+                outranks = allowed & (values[place] > positive)
                 above += outranks
-                equal += allowed & (values[place] == level)
+                equal += allowed & (values[place] == positive)
                 farther += outranks & (apart[place] > limit)
                 earlier += outranks & (earliest[image + place] < latest)
                 higher += allowed & (values[place] > shown)
@@ -272,14 +260,14 @@ def pool_rows(tile: Tile, places: Places, orders: np.ndarray, earliest: np.ndarr
             ties[query] += equal
             if farther:
                 for place in range(values.size):
-                    if values[place] > level and apart[place] > max(threshold, farthest[query, depth - 1]):
+                    if values[place] > positive and apart[place] > max(threshold, farthest[query, depth - 1]):
                         _insert_distance(farthest[query], apart[place])
             if earlier:
                 for place in range(values.size):
-                    if values[place] > level and apart[place] > threshold and earliest[image + place] < latest:
+                    if values[place] > positive and apart[place] > threshold and earliest[image + place] < latest:
                         _insert_places(first[query], orders[image + place])
             if higher:
                 for place in range(values.size):
                     if apart[place] > threshold and values[place] > top_similarity[query, top - 1]:
                         _insert_descending(top_similarity[query], top_index[query], values[place], image + place)
-                floor = min(level, top_similarity[query, top - 1])
+                floor = min(positive, top_similarity[query, top - 1])

@@ -80,9 +80,6 @@ class TorchEngine:
         return array.size * 4 < free // 3
 
 
-# -- counting ---------------------------------------------------------------------------------------------------
-
-
 def database_rows(similarity: torch.Tensor, offset: int, groups: Groups, counts: Counts) -> None:
     """Do as :func:`artifact.ranking.counting.database_rows`, with tensors on any device."""
     starts, positives = groups
@@ -91,18 +88,16 @@ def database_rows(similarity: torch.Tensor, offset: int, groups: Groups, counts:
     lengths = np.diff(starts[offset : offset + similarity.shape[0] + 1])
     owner = torch.from_numpy(np.repeat(np.arange(similarity.shape[0]), lengths)).to(similarity.device)
     values = similarity[owner, torch.from_numpy(entries).to(similarity.device)]
-    level = torch.full((similarity.shape[0],), -torch.inf, device=similarity.device).scatter_reduce_(
+    best = torch.full((similarity.shape[0],), -torch.inf, device=similarity.device).scatter_reduce_(
         0, owner, values, "amax"
     )
-    equal = (similarity == level[:, None]).sum(1)
-    equal -= torch.zeros_like(equal).scatter_add_(0, owner, (values == level[owner]).to(equal.dtype))
-    counts.best[rows] = level.cpu().numpy()
-    # The first of several equal ones, as on the CPU.
-    first = torch.full((similarity.shape[0],), similarity.shape[1], dtype=torch.int64, device=similarity.device)
-    at_best = values == level[owner]
-    columns = torch.from_numpy(entries).to(similarity.device)
-    counts.positive[rows] = first.scatter_reduce_(0, owner[at_best], columns[at_best], "amin").cpu().numpy()
-    counts.outranking[rows] = (similarity > level[:, None]).sum(1).cpu().numpy()
+    equal = (similarity == best[:, None]).sum(1)
+    equal -= torch.zeros_like(equal).scatter_add_(0, owner, (values == best[owner]).to(equal.dtype))
+    counts.best[rows] = best.cpu().numpy()
+    found = np.flatnonzero((values == best[owner]).cpu().numpy())
+    first = found[np.unique(owner.cpu().numpy()[found], return_index=True)[1]]
+    counts.best_index[rows] = entries[first]
+    counts.outranking[rows] = (similarity > best[:, None]).sum(1).cpu().numpy()
     counts.ties[rows] = equal.cpu().numpy()
     _merge_top(counts, rows, similarity, 0)
 
@@ -115,16 +110,16 @@ def pool_rows(
     columns = slice(first_column, first_column + similarity.shape[1])
     here, there = (torch.from_numpy(p).to(similarity.device) for p in (places.queries[rows], places.pool[columns]))
     placed = torch.from_numpy(orders[columns]).to(similarity.device)
-    level = torch.from_numpy(counts.best[rows]).to(similarity.device)[:, None]
+    best = torch.from_numpy(counts.best[rows]).to(similarity.device)[:, None]
     squared = torch.zeros(similarity.shape, dtype=torch.float64, device=similarity.device)
     for axis in range(here.shape[1]):
         difference = here[:, axis, None] - there[None, :, axis]
         squared += difference * difference
     distance = squared.sqrt_()
     allowed = distance > places.threshold
-    outranks = allowed & (similarity > level)
+    outranks = allowed & (similarity > best)
     counts.outranking[rows] += outranks.sum(1).cpu().numpy()
-    counts.ties[rows] += (allowed & (similarity == level)).sum(1).cpu().numpy()
+    counts.ties[rows] += (allowed & (similarity == best)).sum(1).cpu().numpy()
     depth = min(counts.farthest.shape[1], similarity.shape[1])
     found = distance.masked_fill_(~outranks, -torch.inf).topk(depth, dim=1).values.cpu().numpy()
     merged = np.concatenate([counts.farthest[rows], found], axis=1)
@@ -142,8 +137,8 @@ def _merge_top(counts: Counts, rows: slice, similarity: torch.Tensor, first_colu
     top = counts.top_similarity.shape[1]
     if not top:
         return
-    highest, places = torch.sort(similarity, dim=1, descending=True, stable=True)
-    values = np.concatenate([counts.top_similarity[rows], highest[:, :top].cpu().numpy()], axis=1)
+    found, places = torch.sort(similarity, dim=1, descending=True, stable=True)
+    values = np.concatenate([counts.top_similarity[rows], found[:, :top].cpu().numpy()], axis=1)
     columns = np.concatenate([counts.top_index[rows], places[:, :top].cpu().numpy() + first_column], axis=1)
     order = np.argsort(-values, axis=1, kind="stable")[:, :top]
     counts.top_similarity[rows] = np.take_along_axis(values, order, axis=1)

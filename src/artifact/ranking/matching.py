@@ -1,8 +1,4 @@
-"""Second-stage scores: mutual nearest local features (SelaVPR) and the cosine of descriptors (SelaVPR++).
-
-A score belongs to a pair of images alone. Both functions take pairs as two arrays of indices, and load what they
-need of the images a memory budget at a time.
-"""
+"""Second-stage scores of pairs: mutual nearest local features (SelaVPR) and the cosine of descriptors (SelaVPR++)."""
 
 from __future__ import annotations
 
@@ -15,28 +11,16 @@ import numpy as np
 import torch
 from numba import njit
 
+from artifact.ranking.matching_torch import match_count
+
 _TILE_ROWS = 512  # features of a candidate that are compared at a time on the CPU
 
 
 def cosines(queries: np.ndarray, query_rows: np.ndarray, images: np.ndarray, image_rows: np.ndarray) -> np.ndarray:
-    """Score pairs of images by the cosine of their descriptors, the second stage of SelaVPR++.
+    """Score pairs ``(query_rows[i], image_rows[i])`` by the cosine of their descriptors, the second stage of SelaVPR++.
 
     Sums are in float64 and rounded to float32 at the end, so that equal images get equal scores.
 
-    Parameters
-    ----------
-    queries, images
-        Descriptors ``(n, d)``.
-    query_rows, image_rows
-        ``(p,)`` indices of each pair.
-
-    Returns
-    -------
-    numpy.ndarray
-        ``(p,)`` float32 scores.
-
-    Examples
-    --------
     >>> unit = np.eye(3, dtype=np.float32)
     >>> cosines(unit, np.array([0, 0]), unit, np.array([0, 2])).tolist()
     [1.0, 0.0]
@@ -70,36 +54,16 @@ def _cosines(
 class LocalMatcher:
     """Second-stage scores of SelaVPR: mutual nearest neighbours among the local features of two images.
 
-    The score is the number of pairs of features that are each other's nearest, where exactly one counts as none,
-    as in the authors' code (:func:`artifact.ranking.matching_torch.match_count`). Each image is read once for each group of
-    queries that fits the memory. Features are compared in float32 whatever they are stored as.
-
-    Attributes
-    ----------
-    memory
-        Bytes that features and similarities may take together.
-    device
-        ``None`` takes CUDA if there is any, else the CPU.
+    The score is the number of pairs of features that are each other's nearest, where exactly one counts as none, as in the
+    authors' code. ``memory`` is in bytes, for features and similarities together: each image is read once for each group
+    of queries that fits. Features are compared in float32 whatever they are stored as.
     """
 
     memory: int = 2**30
     device: Any = None
 
     def __call__(self, queries: Any, query_rows: np.ndarray, images: Any, image_rows: np.ndarray) -> np.ndarray:
-        """Score pairs of images.
-
-        Parameters
-        ----------
-        queries, images
-            Local features of unit length, ``(n, ..., c)``: arrays, or :class:`Stored`.
-        query_rows, image_rows
-            ``(p,)`` indices of each pair.
-
-        Returns
-        -------
-        numpy.ndarray
-            ``(p,)`` float32 scores.
-        """
+        """Return ``(p,)`` float32 scores of pairs of images with local features ``(n, ..., c)`` of unit length."""
         scores = np.empty(len(query_rows), np.float32)
         load, match = self._backend()
         image_bytes = 4 * max(math.prod(queries.shape[1:]), math.prod(images.shape[1:]))
@@ -121,10 +85,6 @@ class LocalMatcher:
         """Return how features are loaded, and how one query is matched with several of the loaded images."""
         if str(self.device) == "cpu":
             return _features, _match_on_cpu
-        import torch
-
-        from artifact.ranking.matching_torch import match_count
-
         if self.device is None and not torch.cuda.is_available():
             return _features, _match_on_cpu
         device = torch.device("cuda" if self.device is None else self.device)

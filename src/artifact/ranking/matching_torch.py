@@ -6,31 +6,18 @@ import torch
 
 
 def match_count(query: torch.Tensor, candidates: torch.Tensor, *, block: int = 1) -> torch.Tensor:
-    """Count the mutual nearest neighbours between a query's local features and each candidate's.
+    """Count the mutual nearest neighbours between a query's local features and each candidate's: SelaVPR's second stage.
 
-    This is SelaVPR's re-ranking score: no threshold and no geometry. Like the authors' code it gives 0
-    where there is exactly one match. Equal scores are common: keep the candidates' first-stage order among
-    them.
+    There is no threshold and no geometry; like the authors' code it gives 0 where there is exactly one match.
 
     Parameters
     ----------
-    query : torch.Tensor
-        Local features of one image, unit length along the last axis: shape (rows, columns, c) or (m, c).
-    candidates : torch.Tensor
-        The same for k images: shape (k, rows, columns, c) or (k, n, c), same dtype and device.
-    block : int
-        Number of candidates compared at a time; each takes a matrix of m · n similarities (55 MB in float32
-        for 61 × 61 features).
-
-    Returns
-    -------
-    torch.Tensor
-        Scores, shape (k,), int64, on the features' device.
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not fit.
+    query
+        Features of unit length, ``(rows, columns, c)`` or ``(m, c)``.
+    candidates
+        The same of k images, with k leading.
+    block
+        Candidates compared at a time; each takes m · n similarities (55 MB in float32 for 61 × 61 features).
 
     Examples
     --------

@@ -1,10 +1,9 @@
 """One streaming pass of similarity tiles gives the per-query counts behind every metric.
 
-Nothing is sorted, no similarity matrix is kept and no per-query database is built. A block of queries is
-multiplied with the whole database, which gives each query's best positive and the number of database images
-above it; then tiles of distractors add the number of allowed distractors above it. When the distractors are
-the queries themselves, the tiles are symmetric and only half of them are computed. Views (low-rank transforms of
-the descriptors) correct each tile instead of multiplying again.
+Nothing is sorted, no similarity matrix is kept and no per-query database is built. A block of queries is multiplied with
+the whole database, which gives each query's best positive and the number of database images that outrank it; then tiles
+of distractors add theirs. When the distractors are the queries themselves, half of the tiles suffice. Views (low-rank
+transforms of the descriptors) correct each tile instead of multiplying again.
 """
 
 from __future__ import annotations
@@ -33,8 +32,7 @@ _NEGLIGIBLE = 1e-5  # of a projection, in float32
 class LowRank(Protocol):
     """A transform ``r(x) = x - left @ (right.T @ x - offset)`` that can be evaluated as a view."""
 
-    def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return ``left`` ``(d, k)``, ``right`` ``(d, k)`` and ``offset`` ``(k,)``."""
+    def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -52,8 +50,7 @@ class Options:
     retrieve
         Length of the stored retrieval lists; 0 stores none.
     view_sweeps
-        Whether views offer the sweep over distance and the draws of the sweep over number too. They cost a view
-        several times what its counts cost.
+        Whether views offer both sweeps too, which cost a view several times what its counts cost.
     seed
         Seed of the random orders.
     memory
@@ -91,22 +88,18 @@ class Ranking:
     ----------
     evaluated
         ``(n,)`` indices of the queries that have a positive; all per-query arrays follow this order.
-    n_listed, n_database
-        Number of queries given, and of database images.
-    pool_sizes
-        Number of images in each distractor pool.
     database
         Counts over the database, by view.
     pools
         Counts over the allowed distractors, by view and pool.
+    similarity
+        ``(n,)`` float32 similarity of each query and its best positive, by view.
     """
 
     evaluated: np.ndarray
-    n_listed: int
-    n_database: int
-    pool_sizes: dict[str, int]
     database: dict[str, Counts]
     pools: dict[tuple[str, str], Counts]
+    similarity: dict[str, np.ndarray]
 
 
 def rank(
@@ -119,88 +112,72 @@ def rank(
 ) -> Ranking:
     """Rank every query's best positive against the database and against each distractor pool.
 
-    Parameters
-    ----------
-    queries, database
-        Checked image sets of one dimensionality.
-    threshold
-        Positives are database images at most this far from the query, allowed distractors are pool images
-        farther than it, in the unit of the positions (paper, definition of P_i and N_i).
-    pools
-        Distractor pools by name; ``None`` stands for the evaluated queries themselves.
-    views
-        Low-rank transforms to evaluate in the same pass, by name.
-    options
-        See :class:`Options`.
-
-    Returns
-    -------
-    Ranking
-        Counts for the view ``"original"`` and each of ``views``.
-
-    Raises
-    ------
-    ValueError
-        If no query has a positive.
+    The sets are checked; pools go by name, and ``None`` stands for the evaluated queries themselves. Raises ``ValueError`` if no
+    query has a positive.
     """
     options = options or Options()
-    n_listed = len(queries)
-    starts, positives = positives_of(queries.positions, database.positions, threshold)
-    evaluated = np.flatnonzero(np.diff(starts))
-    if evaluated.size == 0:
-        raise ValueError(
-            f"none of the {n_listed} queries has a database image within the threshold {threshold:g}; "
-            f"check that both positions use the same coordinates and that the threshold is in their unit"
-        )
-    if evaluated.size < n_listed:
+    evaluated, starts, positives = evaluated_queries(queries.positions, database.positions, threshold)
+    if evaluated.size < len(queries):
         queries = ImageSet(queries.descriptors[evaluated], queries.positions[evaluated])
-        starts = np.concatenate([[0], np.cumsum(np.diff(starts)[evaluated])])
-    transforms = {ORIGINAL: None, **(views or {})}
+    transforms: dict[str, LowRank | None] = {ORIGINAL: None, **(views or {})}
+    factors = _factors(queries, transforms, options.similarity)
     with engine_for(options.device) as engine:
-        run = _Pass(
-            engine,
-            queries,
-            factors_of(queries, transforms, options.similarity),
-            threshold,
-            transforms,
-            options,
-        )
+        run = _Pass(engine, queries, factors, threshold, transforms, options)
         in_database = run.over_database(database, starts, positives)
         best = {view: counts.best for view, counts in in_database.items()}
         in_pools = {name: run.over_pool(queries if pool is None else pool, best) for name, pool in pools.items()}
     return Ranking(
         evaluated=evaluated,
-        n_listed=n_listed,
-        n_database=len(database),
-        pool_sizes={name: len(queries if pool is None else pool) for name, pool in pools.items()},
         database=in_database,
         pools={(view, name): counts[view] for name, counts in in_pools.items() for view in transforms},
+        similarity={view: factors[view].similarity(best[view], options.similarity) for view in transforms},
     )
 
 
+def evaluated_queries(
+    queries: np.ndarray, database: np.ndarray, threshold: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return which queries have a positive, and their positives: those of the i-th are ``[starts[i]:starts[i + 1]]``.
+
+    Raises ``ValueError`` if there is none.
+    """
+    starts, positives = positives_of(queries, database, threshold)
+    evaluated = np.flatnonzero(np.diff(starts))
+    if evaluated.size == 0:
+        raise ValueError(
+            f"none of the {len(queries)} queries has a database image within the threshold {threshold:g}; "
+            f"check that both positions use the same coordinates and that the threshold is in their unit"
+        )
+    return evaluated, np.concatenate([[0], np.cumsum(np.diff(starts)[evaluated])]), positives
+
+
 @dataclass(frozen=True)
-class Factors:
-    """How one view reads an image set: as rows, and as columns ``(tile - left @ right.T) * scale + bias``."""
+class _Factors:
+    """An image set in one view: as rows, and as columns ``(tile - left @ right.T) * scale + bias``."""
 
     left: np.ndarray
     right: np.ndarray
     scale: np.ndarray
     bias: np.ndarray
 
+    def similarity(self, best: np.ndarray, kind: Similarity) -> np.ndarray:
+        """Complete similarities with these rows, which lack what is the same for all columns."""
+        return best * self.scale if kind == "cosine" else best + self.bias
+
 
 @dataclass(frozen=True)
 class _Pass:
     engine: Engine
     queries: ImageSet
-    rows: Mapping[str, Factors]
+    rows: Mapping[str, _Factors]
     threshold: float
     transforms: Mapping[str, LowRank | None]
     options: Options
 
     def over_database(self, database: ImageSet, starts: np.ndarray, positives: np.ndarray) -> dict[str, Counts]:
-        """Multiply blocks of queries with the whole database: best positives, and the images above them."""
+        """Multiply blocks of queries with the whole database: best positives, and the images that outrank them."""
         options, n = self.options, len(self.queries)
-        columns = factors_of(database, self.transforms, options.similarity)
+        columns = _factors(database, self.transforms, options.similarity)
         counts = {view: Counts.empty(n, options.depth, 0, options.retrieve) for view in self.transforms}
         copies = 2 if len(self.transforms) > 1 else 1
         # Every view reads the tile again: a smaller one stays nearer to the processor.
@@ -208,24 +185,19 @@ class _Pass:
         step = max(1, min(largest, options.memory // (4 * copies * len(database))))
         for rows in _blocks(n, step):
             values = self.engine.product(self.queries.descriptors, rows, database.descriptors, slice(0, len(database)))
-            for view, column in columns.items():
-                correction = self.engine.correction(self.rows[view].left[rows], column.right)
-                tile = Tile(values, correction, column.scale, column.bias, rows.start, 0)
+            for view in self.transforms:
+                tile = self._tile(view, values, rows, columns[view], slice(0, len(database)))
                 self.engine.count_database(tile, Groups(starts, positives), counts[view])
         return counts
 
     def over_pool(self, pool: ImageSet, best: Mapping[str, np.ndarray]) -> dict[str, Counts]:
-        """Count the allowed distractors of one pool above each query's best positive."""
+        """Count the allowed distractors of one pool that outrank each query's best positive."""
         options, n = self.options, len(self.queries)
         own = pool is self.queries
-        columns = self.rows if own else factors_of(pool, self.transforms, options.similarity)
+        columns = self.rows if own else _factors(pool, self.transforms, options.similarity)
         bare = {view for view in self.transforms if view != ORIGINAL and not (options.view_sweeps or options.retrieve)}
-        counts = {
-            view: Counts.empty(n, 0, 0, 0)
-            if view in bare
-            else Counts.empty(n, options.depth, options.draws, options.retrieve)
-            for view in self.transforms
-        }
+        kept = options.depth, options.draws, options.retrieve
+        counts = {view: Counts.empty(n, *((0, 0, 0) if view in bare else kept)) for view in self.transforms}
         for view in self.transforms:
             counts[view].best[:] = best[view]
         orders = draw_orders(len(pool), options)
@@ -238,20 +210,21 @@ class _Pass:
             halves = [(values, rows, cols)]
             if mirrored:
                 halves.append((self.engine.transposed(values), cols, rows))
-            for view, column in columns.items():
+            for view in self.transforms:
                 for half, above, across in halves:
-                    correction = self.engine.correction(self.rows[view].left[above], column.right[across])
-                    tile = Tile(half, correction, column.scale[across], column.bias[across], above.start, across.start)
+                    tile = self._tile(view, half, above, columns[view], across)
                     if near is not None and view in bare:
                         self.engine.count_pool_only(tile, places, near, counts[view])
                     else:
                         self.engine.count_pool(tile, places, orders, counts[view])
         return counts
 
+    def _tile(self, view: str, values: Any, rows: slice, columns: _Factors, across: slice) -> Tile:
+        correction = self.engine.correction(self.rows[view].left[rows], columns.right[across])
+        return Tile(values, correction, columns.scale[across], columns.bias[across], rows.start, across.start)
 
-def factors_of(
-    images: ImageSet, transforms: Mapping[str, LowRank | None], similarity: Similarity
-) -> dict[str, Factors]:
+
+def _factors(images: ImageSet, transforms: Mapping[str, LowRank | None], similarity: Similarity) -> dict[str, _Factors]:
     """Project an image set once for all views; norms turn dot products into the chosen similarity.
 
     With ``a = right.T x - offset``, ``u = left.T x`` and ``G = left.T left``, the transformed dot product is
@@ -268,14 +241,12 @@ def factors_of(
             left, _, offset = bases[view]
             u, a = next(projected), next(projected) - offset
             remainder = u - a @ (left.T @ left)
-            change = -np.einsum("nk,nk->n", a, u, dtype=np.float64) - np.einsum(
-                "nk,nk->n", remainder, a, dtype=np.float64
-            )
+            change = -sum(np.einsum("nk,nk->n", *both, dtype=np.float64) for both in ((a, u), (remainder, a)))
             left_factor, right_factor = np.concatenate([a, remainder], axis=1), np.concatenate([u, a], axis=1)
             if a.size and np.abs(remainder).max() <= _NEGLIGIBLE * max(np.abs(a).max(), np.abs(u).max()):
                 left_factor, right_factor = np.ascontiguousarray(a), np.ascontiguousarray(u)
         norms = np.maximum(squared + change, 0.0)
-        factors[view] = Factors(_padded(left_factor), _padded(right_factor), *_scale_and_bias(norms, similarity))
+        factors[view] = _Factors(_padded(left_factor), _padded(right_factor), *_scale_and_bias(norms, similarity))
     return factors
 
 
@@ -302,19 +273,13 @@ def squared_norms(descriptors: np.ndarray) -> np.ndarray:
 
 
 def _project(descriptors: np.ndarray, bases: list[np.ndarray]) -> Iterator[np.ndarray]:
-    """Yield the projection on each basis, from one product with all their different directions.
-
-    An orthogonal projection has the same directions on both sides, and the views of an INLP at several iterations share
-    theirs.
-    """
+    """Yield the projection on each basis, from one product with the directions that differ: INLP's views share theirs."""
     if not bases:
         return
     places: dict[bytes, int] = {}
-    chosen = [
-        [places.setdefault(column.tobytes(), len(places)) for column in np.ascontiguousarray(basis.T)]
-        for basis in bases
-    ]
-    directions = np.frombuffer(b"".join(places), np.float32).reshape(len(places), -1)
+    transposed = [np.ascontiguousarray(basis.T) for basis in bases]
+    chosen = [[places.setdefault(column.tobytes(), len(places)) for column in basis] for basis in transposed]
+    directions = np.frombuffer(b"".join(places), np.float32).reshape(len(places), descriptors.shape[1])
     out = np.empty((len(descriptors), len(places)), np.float32)
     for rows in _blocks(len(descriptors), max(1, 2**23 // max(1, descriptors.shape[1]))):
         np.matmul(descriptors[rows].astype(np.float32, copy=False), directions.T, out=out[rows])
@@ -325,10 +290,8 @@ def _project(descriptors: np.ndarray, bases: list[np.ndarray]) -> Iterator[np.nd
 def draw_orders(n: int, options: Options) -> np.ndarray:
     """Return ``(n, draws)`` int32: the place of each pool image in each random order."""
     generator = np.random.default_rng(options.seed)
-    orders = np.empty((n, options.draws), np.int32)
-    for draw in range(options.draws):
-        orders[:, draw] = generator.permutation(n)
-    return orders
+    drawn = [generator.permutation(n).astype(np.int32) for _ in range(options.draws)]
+    return np.stack(drawn, axis=1) if drawn else np.empty((n, 0), np.int32)
 
 
 def _blocks(n: int, step: int) -> Iterator[slice]:

@@ -22,6 +22,7 @@ from artifact.manifest.entries import ManifestError
 from artifact.metrics import two_stage, two_stage_sweeps
 from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
+from artifact.metrics.result import Result
 from artifact.metrics.stored import stored
 from artifact.ranking import matching, one_pass
 from artifact.ranking.candidates import Images
@@ -48,7 +49,7 @@ class Measured:
         What the last stage ranks by, as the values of retrieval lists: ``"cosine"`` or ``"matches"`` of local features.
     """
 
-    evaluation: Evaluation
+    evaluation: Result
     dataset: Dataset
     method: str
     inputs: tuple[dict[str, Any], ...]

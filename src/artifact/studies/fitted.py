@@ -25,7 +25,7 @@ from artifact.ranking.one_pass import ORIGINAL
 from artifact.suppression.inlp import INLP
 from artifact.suppression.leace import LEACE
 from artifact.suppression.lowrank import LowRankMap, compose
-from artifact.suppression.probe import Probe, Transform, probe_on, probe_split
+from artifact.suppression.probe import Guardedness, probe
 from artifact.suppression.regions import Split, Where, split
 from artifact.suppression.std import STD
 
@@ -51,7 +51,7 @@ class Suppressed:
     """
 
     evaluations: dict[str, Evaluation]
-    probes: dict[str, Probe]
+    probes: dict[str, Guardedness]
     described: Described
     split: Split
 
@@ -166,7 +166,7 @@ def compare(
     results = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "suppression"})
     evaluations = {name: results["views"][name] for name in (ORIGINAL, *LOW_RANK)} | {"STD": results["STD"]}
     probes = {
-        name: Probe(accuracy, bool(converged))
+        name: Guardedness(accuracy, bool(converged))
         for name, (accuracy, converged) in zip((ORIGINAL, *METHODS), results["probes"].tolist(), strict=True)
     }
     return Suppressed(evaluations, probes, described, where)
@@ -175,12 +175,9 @@ def compare(
 def _probe_all(described: Described, where: Split, fitted: Mapping[str, Any], seed: int) -> np.ndarray:
     """Accuracy and convergence ``(4, 2)`` of the probe on the original and the suppressed descriptors."""
     region = evaluation_region(described, where)
-    rows = probe_split(*region.places, seed)
-    label = {"query": QUERY, "database": DATABASE}
-    transforms: list[Transform | None] = [None]
-    transforms += [lambda block, _, name=name: fitted[name].transform(block) for name in LOW_RANK]
-    transforms += [lambda block, condition: fitted["STD"].transform(block, label[condition])]
-    return np.array([probe_on(region.queries, region.database, rows, transform=t, seed=seed) for t in transforms])
+    names = (ORIGINAL, *METHODS)
+    found = [probe(region.queries, region.database, *region.places, transform=fitted.get(n), seed=seed) for n in names]
+    return np.array(found, np.float64)
 
 
 def by_fraction(

@@ -33,7 +33,7 @@ def suppression_table(
     Study
         One row per dataset, method and suppression method: ``dataset``, ``title``, ``method``, ``suppression``
         (``original`` among them), ``reported_as``, ``R``, ``DAR``, ``probe`` in percent, their changes ``change_R``, ``change_DAR``,
-        ``change_probe`` in percentage points, ``probe_converged``, ``queries``, ``fitted_queries``, ``fitted_database``, ``origin``.
+        ``change_probe`` in percentage points, ``probe_unconverged`` (1 if the probe did not converge), ``queries``, ``fitted_queries``, ``fitted_database``, ``origin``.
     """
     rows, inputs = [], []
     for name in names:
@@ -52,7 +52,7 @@ def suppression_table(
                         "R": PERCENT * after.recall(k),
                         "DAR": PERCENT * after.dar(k),
                         "probe": PERCENT * result.probes[suppressor].accuracy,
-                        "probe_converged": result.probes[suppressor].converged,
+                        "probe_unconverged": int(not result.probes[suppressor].converged),
                         "change_R": PERCENT * (after.recall(k) - before.recall(k)),
                         "change_DAR": PERCENT * (after.dar(k) - before.dar(k)),
                         "change_probe": PERCENT

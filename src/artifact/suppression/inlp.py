@@ -1,8 +1,4 @@
-"""Condition suppression: INLP, LEACE and per-condition standardisation (paper §IV), in the form of scikit-learn.
-
-``fit(X, condition)`` takes descriptors ``(n, d)`` and an integer condition per row. Fitting never forms a ``d × d``
-matrix when there are fewer rows than columns, and fitted INLP and LEACE hold O(d k) numbers.
-"""
+"""INLP: the directions of one linear classifier of the conditions after another are projected out."""
 
 from __future__ import annotations
 
@@ -10,17 +6,16 @@ import warnings
 from typing import Any
 
 import numpy as np
-from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import SGDClassifier
 from sklearn.metrics import balanced_accuracy_score
 from sklearn.utils.validation import check_is_fitted
 
-from artifact.suppression.lowrank import LowRankMap
+from artifact.suppression.lowrank import LowRankEstimator, LowRankMap
 from artifact.suppression.samples import checked_fit, gram_matrix, spectrum, weighted_sum
 
 
-class INLP(TransformerMixin, BaseEstimator):
+class INLP(LowRankEstimator):
     """Iterative null-space projection (Ravfogel et al. 2020).
 
     Each iteration fits a linear classifier to the conditions and projects its directions out:
@@ -58,15 +53,8 @@ class INLP(TransformerMixin, BaseEstimator):
     def fit(self, X: np.ndarray, condition: np.ndarray) -> INLP:
         """Fit on descriptors ``(n, d)`` and their conditions ``(n,)``.
 
-        Raises
-        ------
-        ValueError
-            If there are fewer than two conditions or two rows in one, or the descriptors are constant or not finite.
-
-        Warns
-        -----
-        ConvergenceWarning
-            Once, with the number of classifiers that did not converge.
+        Raises ``ValueError`` for fewer than two conditions or two rows in one, and for constant or infinite descriptors. Warns
+        once (``ConvergenceWarning``) with the number of classifiers that did not converge.
         """
         X, condition = checked_fit(X, condition)
         coordinates, lift = _coordinates(X, self.device)
@@ -74,6 +62,7 @@ class INLP(TransformerMixin, BaseEstimator):
         # One last orthonormalisation takes out the rounding of the lift; it keeps every leading subspace.
         directions, triangle = np.linalg.qr(lift(basis))
         self.directions_ = directions * np.where(np.diag(triangle) < 0, -1.0, 1.0)
+        self.map_ = self.at(self.n_iterations)
         return self
 
     def at(self, iteration: int) -> LowRankMap:
@@ -85,26 +74,13 @@ class INLP(TransformerMixin, BaseEstimator):
         directions = self.directions_[:, : self.ends_[done - 1] if done else 0]
         return LowRankMap(directions, directions, np.zeros(directions.shape[1]))
 
-    def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the fitted projection as ``left``, ``right``, ``offset``."""
-        return self.at(self.n_iterations).low_rank()
-
-    def transform(self, X: np.ndarray) -> np.ndarray:
-        """Project descriptors ``(n, d)``; the dtype is kept."""
-        return self.at(self.n_iterations).transform(X)
-
 
 def _erased_directions(
     coordinates: np.ndarray, condition: np.ndarray, iterations: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fit classifiers and remove their directions, in turn, from the coordinates themselves.
 
-    Returns
-    -------
-    basis
-        ``(width, k)`` orthonormal directions.
-    accuracies, ends
-        Per iteration: balanced training accuracy, number of directions after it.
+    Returns the orthonormal directions and, per iteration, balanced training accuracy and number of directions.
     """
     basis = np.zeros((coordinates.shape[1], 0))
     accuracies, ends, unconverged = [], [], 0
@@ -154,6 +130,3 @@ def _coordinates(X: np.ndarray, device: Any) -> tuple[np.ndarray, Any]:
     return np.multiply(vectors, roots, order="C"), lambda basis: weighted_sum(
         X, np.zeros(d), vectors @ (basis / roots[:, None])
     )
-
-
-# -- checks and linear algebra --------------------------------------------------------------------------------

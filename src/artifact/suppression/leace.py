@@ -6,25 +6,24 @@ from typing import Any
 
 import numpy as np
 from scipy import linalg
-from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.utils.validation import check_is_fitted
 
-from artifact.suppression.lowrank import LowRankMap
-from artifact.suppression.samples import checked_fit, gram_matrix, scatter_matrix, spectrum, weighted_sum
-
-_GUARDED = 1000  # epsilons of the type of the descriptors: rounding in a transform leaves up to a hundred
+from artifact.suppression.lowrank import LowRankEstimator, LowRankMap
+from artifact.suppression.samples import checked_fit, gram_matrix, precision, scatter_matrix, spectrum, weighted_sum
 
 
-class LEACE(TransformerMixin, BaseEstimator):
+class LEACE(LowRankEstimator):
     """Least-squares concept erasure (Belrose et al. 2023), exact and without ``d × d`` matrices.
 
     The paper's formula (§IV-C) with whitening ``W = (Σ_XX^(1/2))^+`` equals
     ``r(x) = x - A (A'B)^+ B' (x - μ)`` with ``A = X_c' Z_c`` and ``B`` the minimum-norm least-squares solution of
     ``X_c B = Z_c``: memory O(n d).
 
-    Conditions that are guarded already are left alone: only label directions along which ``|A|`` exceeds ``|X_c| |Z_c|`` (its
-    largest possible value) times 1000 epsilons of the type of ``X`` are erased. So fitting on the output of a fit changes
-    nothing, where without the rule it would erase a direction of rounding residues.
+    Nothing is removed where the conditions are already guarded. With orthonormal columns ``Q`` that span those of ``Z_c``, a
+    condition direction counts only if its singular value in ``X_c' Q`` is above ``(2 ε + n ε₆₄) ‖X‖``, what rounding of the
+    stored values and of the sums can leave of an erased condition: ``ε`` is the epsilon of the coarsest of float16, float32
+    and float64 that holds all of ``X``. So a fit on the stored output of a fit is the identity. (The regression cannot
+    tell: with more columns than rows it fits labels to the rounding. Rows scaled to unit length after erasure are other
+    data, whose means may differ again.)
 
     Parameters
     ----------
@@ -32,8 +31,8 @@ class LEACE(TransformerMixin, BaseEstimator):
         Whether to shrink the covariance linearly towards a multiple of the identity (Bodnar et al. 2014), as the
         reference implementation does by default; the paper's formula does not.
     tolerance
-        Eigenvalues at or below this share of the largest count as zero; ``None`` is the larger of n and d times the
-        float64 epsilon.
+        Eigenvalues of the covariance at or below this share of the largest count as zero; ``None`` is the larger of n and d
+        times the float64 epsilon.
     device
         Where the large matrix products run; ``None`` is the CPU.
 
@@ -53,57 +52,43 @@ class LEACE(TransformerMixin, BaseEstimator):
     def fit(self, X: np.ndarray, condition: np.ndarray) -> LEACE:
         """Fit on descriptors ``(n, d)`` and their conditions ``(n,)``.
 
-        Raises
-        ------
-        ValueError
-            If there are fewer than two conditions or two rows in one, or the descriptors are constant or not finite.
+        Raises ``ValueError`` for fewer than two conditions or two rows in one, and for constant or infinite descriptors.
         """
         X, condition = checked_fit(X, condition)
         self.mean_ = X.mean(axis=0, dtype=np.float64)
-        labels = (condition[:, None] == np.unique(condition)).astype(np.float64)
-        labels -= labels.mean(axis=0)
-        gram = (gram_matrix if len(X) <= X.shape[1] else scatter_matrix)(X, self.mean_, self.device)
-        cross = weighted_sum(X, self.mean_, labels)
-        scatter = float(np.sqrt(np.trace(gram))) * float(np.linalg.norm(labels))
-        told = np.linalg.svd(cross, full_matrices=False)
-        told = told.Vh[_GUARDED * np.finfo(X.dtype).eps * scatter < told.S].T
-        if told.shape[1] == 0:
-            nothing = np.zeros((X.shape[1], 0))
-            self.map_ = LowRankMap(nothing, nothing, np.zeros(0))
+        labels = (condition[:, None] == np.unique(condition)[:-1]).astype(np.float64)
+        labels = linalg.qr(labels - labels.mean(axis=0), mode="economic")[0]
+        cross, sizes, mixing = linalg.svd(weighted_sum(X, self.mean_, labels), full_matrices=False)
+        rounding = 2 * precision(X) + len(X) * np.finfo(np.float64).eps
+        found = sizes > rounding * np.sqrt(np.einsum("nd,nd->", X, X, dtype=np.float64))
+        # From here on both sides of the regression are of unit size, however weak a condition is.
+        cross, labels = cross[:, found], labels @ (mixing[found].T / sizes[found])
+        if not found.any():
+            self.map_ = LowRankMap(cross, cross, np.zeros(0))
             return self
-        labels, cross = labels @ told, cross @ told
-        solution = self._regression(X, gram, cross, labels)
-        inner = cross.T @ solution
-        values, vectors = spectrum((inner + inner.T) / 2, 1e-10)
-        left = cross @ (vectors / values)
-        right = solution @ vectors
-        self.map_ = LowRankMap(left, right, right.T @ self.mean_)
+        solution = self._regression(X, cross, labels)
+        # Not made symmetric: its own inverse guards exactly, however well the regression is conditioned.
+        outer, values, inner = linalg.svd(solution.T @ cross)
+        kept = values > 1e-10 * values[0]
+        right = solution @ outer[:, kept]
+        self.map_ = LowRankMap(cross @ (inner[kept].T / values[kept]), right, right.T @ self.mean_)
         return self
 
-    def _regression(self, X: np.ndarray, gram: np.ndarray, cross: np.ndarray, labels: np.ndarray) -> np.ndarray:
-        """Minimum-norm solution of ``X_c B = Z_c``, or its shrunk form ``(α S + γ I)^-1 A``, up to a factor."""
+    def _regression(self, X: np.ndarray, cross: np.ndarray, labels: np.ndarray) -> np.ndarray:
+        """Minimum-norm solution of ``X_c B = labels``, or its shrunk form ``(α S + γ I)^-1 cross``, up to a factor."""
         n, d = X.shape
         dual = n <= d
+        gram = (gram_matrix if dual else scatter_matrix)(X, self.mean_, self.device)
         if self.shrinkage:
             alpha, gamma = _shrinkage(gram / n, n, d)
             gram = alpha * gram / n
             gram[np.diag_indices_from(gram)] += gamma
             solved = linalg.solve(gram, labels if dual else cross, assume_a="pos")
-            return weighted_sum(X, self.mean_, solved) if dual else solved
-        tolerance = max(n, d) * np.finfo(np.float64).eps if self.tolerance is None else self.tolerance
-        values, vectors = spectrum(gram, tolerance)
-        solved = vectors @ ((vectors.T @ (labels if dual else cross)) / values[:, None])
+        else:
+            tolerance = max(n, d) * np.finfo(np.float64).eps if self.tolerance is None else self.tolerance
+            values, vectors = spectrum(gram, tolerance)
+            solved = vectors @ ((vectors.T @ (labels if dual else cross)) / values[:, None])
         return weighted_sum(X, self.mean_, solved) if dual else solved
-
-    def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the fitted map as ``left``, ``right``, ``offset``."""
-        check_is_fitted(self)
-        return self.map_.low_rank()
-
-    def transform(self, X: np.ndarray) -> np.ndarray:
-        """Erase the conditions from descriptors ``(n, d)``; the dtype is kept."""
-        check_is_fitted(self)
-        return self.map_.transform(X)
 
 
 def _shrinkage(covariance: np.ndarray, n: int, d: int) -> tuple[float, float]:

@@ -7,13 +7,15 @@ between two transformed descriptors is the original one plus a correction of ran
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.utils.validation import check_is_fitted
 
-from artifact import store
+from artifact.suppression import saved
+from artifact.suppression.samples import checked_rows
 
 
 @dataclass(frozen=True)
@@ -33,58 +35,65 @@ class LowRankMap:
     offset: np.ndarray
 
     @property
-    def dimension(self) -> int:
-        """Width d of the descriptors."""
-        return self.left.shape[0]
-
-    @property
     def rank(self) -> int:
         """Number of columns k."""
-        return self.left.shape[1]
+        return len(self.offset)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the map to a file for :func:`artifact.load_transform`, whole or not at all.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from artifact import load_transform
+        >>> path = f"{tempfile.mkdtemp()}/map.npz"
+        >>> LowRankMap(np.eye(2)[:, :1], np.eye(2)[:, :1], np.zeros(1)).save(path)
+        >>> load_transform(path).transform(np.array([[1.0, 2.0]])).tolist()
+        [[0.0, 2.0]]
+        """
+        saved.write(path, "low-rank map", left=self.left, right=self.right, offset=self.offset)
 
     def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return ``left``, ``right`` and ``offset``, for evaluation as a view."""
         return self.left, self.right, self.offset
 
-    def save(self, path: Path) -> None:
-        """Write the map to an ``.npz`` file, whole or not at all; :func:`artifact.load_transform` reads it."""
-        arrays = {"left": self.left, "right": self.right, "offset": self.offset}
-        store.write_arrays(Path(path), {"kind": np.array("low-rank"), **arrays})
+    def transform(self, X: np.ndarray) -> np.ndarray:
+        """Apply the map to rows ``(n, d)``, or raise ``ValueError`` if they have another width; the dtype is kept."""
+        X = checked_rows(X, len(self.left))
+        left, right, offset = (part.astype(X.dtype) for part in (self.left, self.right, self.offset))
+        change = (X @ right - offset) @ left.T
+        return np.subtract(X, change, out=change)
+
+
+class LowRankEstimator(TransformerMixin, BaseEstimator):
+    """A transform whose fit gives a low-rank map, ``map_``."""
+
+    map_: LowRankMap
+
+    def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the fitted map as ``left``, ``right``, ``offset``."""
+        check_is_fitted(self)
+        return self.map_.low_rank()
 
     def transform(self, X: np.ndarray) -> np.ndarray:
-        """Apply the map to rows ``(n, d)``; the dtype is kept.
+        """Transform descriptors ``(n, d)``; the dtype is kept."""
+        check_is_fitted(self)
+        return self.map_.transform(X)
 
-        Raises
-        ------
-        ValueError
-            If the rows have another width.
-        """
-        X = np.asarray(X)
-        if X.ndim != 2 or X.shape[1] != self.dimension:
-            raise ValueError(
-                f"descriptors have the shape {X.shape}; this transform was fitted on (n, {self.dimension})"
-            )
-        kind = X.dtype if X.dtype in (np.float32, np.float64) else np.float32
-        left, right, offset = (part.astype(kind) for part in (self.left, self.right, self.offset))
-        X = X.astype(kind, copy=False)
-        return X - (X @ right - offset) @ left.T
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the fitted map to a file for :func:`artifact.load_transform`; see :meth:`LowRankMap.save`."""
+        LowRankMap(*self.low_rank()).save(path)
 
 
-def compose(*steps: Any) -> LowRankMap:
-    """Return one map that applies several transforms in order.
+def compose(*steps: LowRankMap | LowRankEstimator) -> LowRankMap:
+    """Return one map that applies several fitted INLP or LEACE estimators, or low-rank maps, in order.
 
-    Parameters
-    ----------
-    *steps
-        Fitted :class:`~artifact.suppression.inlp.INLP` or :class:`~artifact.suppression.leace.LEACE` estimators, or low-rank maps;
-        the first is applied first. Nothing is normalised in between.
+    Nothing is normalised in between.
 
     Raises
     ------
-    TypeError
-        If a step has no low-rank form, as STD.
-    ValueError
-        If there is no step, or widths differ.
+    TypeError, ValueError
+        If a step has no low-rank form, as STD; if there is no step, or widths differ.
 
     Examples
     --------

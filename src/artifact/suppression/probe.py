@@ -3,52 +3,33 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import linalg
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.svm import LinearSVC
 
-from artifact.suppression.samples import gram_matrix, weighted_sum
+from artifact.suppression.regions import longest_direction
 
-Transform = Callable[[np.ndarray, str], np.ndarray]
-"""From descriptors ``(n, d)`` and their condition, ``"query"`` or ``"database"``, to what the probe sees."""
+_BLOCK = 2**23  # values that are transformed and widened at a time
 
-_ROWS = 2048  # test images that are transformed at a time
+_Blocks = Iterator[tuple[slice, np.ndarray]]  # rows in order, in float64
 
 
-class Probe(NamedTuple):
-    """What a probe found.
+class Half(NamedTuple):
+    """Rows of one half of the evaluation region: equally many ``queries`` and ``database`` images."""
 
-    Attributes
-    ----------
-    accuracy
-        Share of test images whose condition the classifier tells; 0.5 is chance.
-    converged
-        Whether the classifier converged within the default number of iterations.
-    """
+    queries: np.ndarray
+    database: np.ndarray
+
+
+class Guardedness(NamedTuple):
+    """Test ``accuracy`` of a probe as a fraction (0.5 is chance), and whether it ``converged`` in its default iterations."""
 
     accuracy: float
     converged: bool
-
-
-@dataclass(frozen=True)
-class ProbeSplit:
-    """Rows of query and database images to train and to test a probe on, balanced to 50 % each.
-
-    Attributes
-    ----------
-    train_queries, train_database, test_queries, test_database
-        Indices; within each pair both have the same number.
-    """
-
-    train_queries: np.ndarray
-    train_database: np.ndarray
-    test_queries: np.ndarray
-    test_database: np.ndarray
 
 
 def probe(
@@ -58,21 +39,26 @@ def probe(
     database_positions: np.ndarray,
     threshold: float,
     *,
-    transform: Transform | None = None,
+    transform: Any = None,
     seed: int = 0,
-) -> Probe:
-    """Train a linear classifier to tell queries from database images, and test it at other places.
+) -> Guardedness:
+    """Train a ``LinearSVC`` with its defaults to tell queries from database images, and test it on other places.
+
+    It trains on one spatial half of the images and tests on the other, with a gap between them. With fewer rows than columns
+    it runs on the triangular factor L of their inner products, ``L L' = X X'``: the solver (dual coordinate descent) sees
+    inner products only, so this is the same algorithm in exact arithmetic, at a cost of n instead of d per sample. Half of
+    L is zero and takes no memory in the solver, which turns each value into 16 bytes: n² float64 and as much again,
+    instead of six times the float32 descriptors. Descriptors are transformed some rows at a time.
 
     Parameters
     ----------
     queries, database
-        Descriptors ``(n, d)``, of an evaluation region that no transform was fitted on.
-    query_positions, database_positions
-        Positions ``(n, p)`` or ``(n,)``, in metres or frames.
-    threshold
-        Images of the two halves are farther apart than this.
+        Descriptors ``(n, d)`` of the evaluation region, float32 or float16.
+    query_positions, database_positions, threshold
+        Positions ``(n, p)`` or ``(n,)`` in metres or frames, and the positive threshold in the same unit.
     transform
-        Applied to blocks of descriptors before they are classified, so that no transformed copy of all is kept.
+        A fitted :class:`~artifact.INLP`, :class:`~artifact.LEACE` or :class:`~artifact.LowRankMap` to apply first, or an
+        :class:`~artifact.STD` that was fitted with the conditions 0 (queries) and 1 (database).
     seed
         Seed of the balancing and of the solver.
 
@@ -84,81 +70,93 @@ def probe(
     Examples
     --------
     >>> rng = np.random.default_rng(0)
-    >>> where, places = np.arange(80.0), rng.normal(size=(80, 8)).astype(np.float32)
-    >>> probe(places + 4, places - 4, where, where, threshold=2).accuracy
+    >>> day, night = rng.standard_normal((2, 80, 6)) + np.array([[[2.0]], [[-2.0]]])
+    >>> probe(day, night, np.arange(80.0), np.arange(80.0), threshold=3).accuracy
     1.0
     """
-    rows = probe_split(query_positions, database_positions, threshold, seed)
-    return probe_on(queries, database, rows, transform=transform, seed=seed)
+    train, test = probe_split(query_positions, database_positions, threshold, seed)
+    apply = _applied(transform)
+
+    def blocks(half: Half) -> _Blocks:
+        step, start = max(1, _BLOCK // queries.shape[1]), 0
+        for condition, (images, rows) in enumerate(zip((queries, database), half, strict=True)):
+            for first in range(0, len(rows), step):
+                block = apply(images[rows[first : first + step]], condition).astype(np.float64)
+                yield slice(start, start := start + len(block)), block
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ConvergenceWarning)
+        weights, intercept = _classifier(lambda: blocks(train), 2 * len(train.queries), queries.shape[1], seed)
+    told = np.concatenate([block @ weights + intercept > 0 for _, block in blocks(test)])
+    right = told == np.repeat([False, True], len(test.queries))
+    converged = not any(issubclass(warning.category, ConvergenceWarning) for warning in caught)
+    return Guardedness(float(right.mean()), converged)
 
 
 def probe_split(
     query_positions: np.ndarray, database_positions: np.ndarray, threshold: float, seed: int = 0
-) -> ProbeSplit:
-    """Cut an evaluation region into two spatial halves with a gap between them, and balance each.
+) -> tuple[Half, Half]:
+    """Return the halves of the evaluation region to train and to test on, balanced, with a gap between them.
 
-    The cut is at the median of the query positions along their longest direction. Images within half the threshold of it
-    leave, so that no image of one half is within the threshold of one of the other; the larger group of each half is thinned
-    at random. Parameters and errors are those of :func:`probe`.
+    The border is at the median of the query positions along their longest direction. Images within half the threshold of it
+    leave, so that no image of one half is within the threshold of one of the other; the larger group of each half is thinned at random.
     """
-    places = [np.asarray(p, np.float64).reshape(len(p), -1) for p in (query_positions, database_positions)]
-    centre = places[0].mean(axis=0)
-    axis = np.linalg.svd(places[0] - centre, full_matrices=False)[2][0]
-    along = [(positions - centre) @ axis for positions in places]
-    cut, half = np.median(along[0]), threshold / 2
+    places = [np.asarray(positions, np.float64) for positions in (query_positions, database_positions)]
+    places = [where[:, None] if where.ndim == 1 else where for where in places]
+    direction = longest_direction(places[0])
+    along = [where @ direction for where in places]
+    border = np.median(along[0])
     generator = np.random.default_rng(seed)
-    chosen = []
-    for name in ("train", "test"):
-        groups = [np.flatnonzero(x <= cut - half if name == "train" else x > cut + half) for x in along]
+    halves = []
+    for sign in (-1, 1):
+        groups = [np.flatnonzero(sign * (values - border) > threshold / 2) for values in along]
         size = min(map(len, groups))
         if size < 2:
             raise ValueError(
-                f"the {name} half of the evaluation region has {size} images of one condition beyond the gap of {threshold:g}; "
-                f"a probe needs two of each"
+                f"a half of the evaluation region, beyond a gap of {threshold:g}, has {size} images of one "
+                f"condition; a probe needs two of each"
             )
-        chosen += [np.sort(generator.choice(group, size, replace=False)) for group in groups]
-    return ProbeSplit(*chosen)
+        halves.append(Half(*(np.sort(generator.choice(group, size, replace=False)) for group in groups)))
+    return halves[0], halves[1]
 
 
-def probe_on(
-    queries: np.ndarray, database: np.ndarray, rows: ProbeSplit, *, transform: Transform | None = None, seed: int = 0
-) -> Probe:
-    """Train and test a ``LinearSVC`` with default hyperparameters on the rows of :func:`probe_split`; see :func:`probe`.
-
-    With fewer training images than columns the classifier is trained on the rows of the triangular factor ``L`` of their
-    Gram matrix: they have the same inner products, and the solver only ever sees those, so it is the same classifier in exact
-    arithmetic. It then needs ``n²`` numbers and not the solver's 24 bytes for each of ``n d``.
-    """
-    change = transform or (lambda block, _: block)
-    train = np.concatenate(
-        [change(queries[rows.train_queries], "query"), change(database[rows.train_database], "database")]
-    )
-    labels = np.repeat([0, 1], [len(rows.train_queries), len(rows.train_database)])
-    n, d = train.shape
-    factor = _triangular_factor(train) if n < d else None
-    # What the default, "auto", decides from the shape of the descriptors; the factor has another shape.
-    classifier = LinearSVC(dual=n < d, random_state=seed)
-    with warnings.catch_warnings():
-        # A condition that is well hidden leaves the solver without a margin to converge to: counted, not warned of.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        classifier.fit(train.astype(np.float64) if factor is None else factor, labels)
-    direction = classifier.coef_[0]
-    if factor is not None:
-        weights = linalg.solve_triangular(factor, direction, lower=True, trans="T")
-        direction = weighted_sum(train, np.zeros(d), weights[:, None])[:, 0]
-    right = 0
-    for images, chosen, name, label in (
-        (queries, rows.test_queries, "query", 0),
-        (database, rows.test_database, "database", 1),
-    ):
-        for start in range(0, len(chosen), _ROWS):
-            scores = change(images[chosen[start : start + _ROWS]], name) @ direction + classifier.intercept_[0]
-            right += int(((scores > 0) == label).sum())
-    return Probe(right / (2 * len(rows.test_queries)), bool(classifier.n_iter_ < classifier.max_iter))
+def _applied(transform: Any) -> Callable[[np.ndarray, int], np.ndarray]:
+    if transform is None:
+        return lambda X, _: X
+    return (lambda X, _: transform.transform(X)) if hasattr(transform, "low_rank") else transform.transform
 
 
-def _triangular_factor(rows: np.ndarray) -> np.ndarray:
-    """``L`` with ``L L' = rows rows'``; rows that depend on one another are told apart by rounding alone."""
-    gram = gram_matrix(rows, np.zeros(rows.shape[1]), None)
-    gram[np.diag_indices_from(gram)] += 1e-12 * np.trace(gram) / len(gram)
-    return linalg.cholesky(gram, lower=True, overwrite_a=True, check_finite=False)
+def _classifier(blocks: Callable[[], _Blocks], n: int, d: int, seed: int) -> tuple[np.ndarray, float]:
+    """Fit the classifier to rows of which the second half is one class; return its weights and intercept."""
+    labels = np.repeat([0, 1], n // 2)
+    if n >= d:
+        fitted = LinearSVC(random_state=seed).fit(_stacked(blocks(), n, d), labels)
+        return fitted.coef_[0], float(fitted.intercept_[0])
+    factor = _factor(blocks, n)
+    fitted = LinearSVC(random_state=seed, dual=True).fit(factor, labels)
+    shares = linalg.solve_triangular(factor.T, fitted.coef_[0], check_finite=False)
+    weights = np.zeros(d)
+    for rows, block in blocks():
+        weights += shares[rows] @ block
+    return weights, float(fitted.intercept_[0])
+
+
+def _stacked(blocks: _Blocks, n: int, d: int) -> np.ndarray:
+    X = np.empty((n, d))
+    for rows, block in blocks:
+        X[rows] = block
+    return X
+
+
+def _factor(blocks: Callable[[], _Blocks], n: int) -> np.ndarray:
+    """Lower triangular ``L`` with ``L L'`` the inner products of the rows."""
+    products = np.zeros((n, n))
+    for rows, block in blocks():
+        for columns, other in blocks():
+            if columns.start > rows.start:
+                break
+            products[rows, columns] = block @ other.T
+    # What rounding needs to factor equal rows; beside the 1/2 that the squared hinge adds to each it is nothing.
+    products[np.diag_indices(n)] += n * np.finfo(np.float64).eps * np.trace(products)
+    upper, _ = linalg.lapack.dpotrf(products.T, lower=0, clean=1, overwrite_a=1)
+    return upper.T

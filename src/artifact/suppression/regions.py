@@ -19,15 +19,7 @@ Where = Literal["centre", "edge"]
 
 @dataclass(frozen=True)
 class Split:
-    """Indices of the fitting and the evaluation region.
-
-    Attributes
-    ----------
-    fit_queries, fit_database
-        The fitting region: queries, and the database images within the threshold of any of them.
-    evaluation_queries, evaluation_database
-        The rest of both.
-    """
+    """Indices of the fitting region, queries and the database images near any of them, and of the rest of both."""
 
     fit_queries: np.ndarray
     fit_database: np.ndarray
@@ -48,15 +40,7 @@ def fit_region(positions: np.ndarray, fraction: float, where: Where = "centre") 
         ``"centre"``: the queries nearest to the mean position; for one axis, contiguous places around the middle.
         ``"edge"``: a slice from the edge of the map, along its longest direction (paper Fig. 9).
 
-    Returns
-    -------
-    numpy.ndarray
-        Ascending indices.
-
-    Raises
-    ------
-    ValueError
-        If the fraction is not in [0, 1] or ``where`` is unknown.
+    Returns ascending indices, or raises ``ValueError`` if the fraction is not in [0, 1] or ``where`` is unknown.
 
     Examples
     --------
@@ -77,7 +61,7 @@ def fit_region(positions: np.ndarray, fraction: float, where: Where = "centre") 
     # ceil of a rounded product: 0.1 * 30 must take 3 and not 4
     count = math.ceil(round(fraction * n, 9))
     if where == "edge":
-        along = positions @ _longest_direction(positions)
+        along = positions @ longest_direction(positions)
         order = np.argsort(along, kind="stable")
     elif where != "centre":
         raise ValueError(f"where is {where!r}; allowed: 'centre', 'edge'")
@@ -89,7 +73,7 @@ def fit_region(positions: np.ndarray, fraction: float, where: Where = "centre") 
     return np.sort(order[:count])
 
 
-def _longest_direction(positions: np.ndarray) -> np.ndarray:
+def longest_direction(positions: np.ndarray) -> np.ndarray:
     """First principal axis, turned so that its largest component is positive."""
     centred = positions - positions.mean(axis=0)
     axis = np.linalg.svd(centred, full_matrices=False)[2][0]
@@ -105,26 +89,19 @@ def split(
     evaluation_fraction: float | None = None,
     where: Where = "centre",
 ) -> Split:
-    """Split queries and database into a fitting and an evaluation region.
+    """Split queries and database by their ``(n, p)`` positions into a fitting and an evaluation region.
 
     Parameters
     ----------
-    query_positions, database_positions
-        ``(n, p)`` in metres or frames.
-    threshold
-        Positive threshold in the same unit.
+    query_positions, database_positions, threshold
+        In metres or frames.
     fraction
         Share of the evaluated queries, those with a positive, in the fitting region.
     evaluation_fraction
         Keep the evaluation region fixed: the share of the queries that lies outermost (paper Fig. 10 uses 0.5, and
-        varies ``fraction`` up to it). Default: all that is not in the fitting region.
+        varies ``fraction`` up to it). Default: all that is not in the fitting region. The two may not exceed 1 together.
     where
         As in :func:`fit_region`.
-
-    Raises
-    ------
-    ValueError
-        If the two fractions together exceed 1.
     """
     reserved = fraction if evaluation_fraction is None else 1 - evaluation_fraction
     if fraction > reserved + 1e-12:
@@ -138,8 +115,7 @@ def split(
         fit_database=_colocated(query_positions[fit_queries], database_positions, threshold),
         evaluation_queries=np.setdiff1d(everything, excluded),
         evaluation_database=np.setdiff1d(
-            np.arange(len(database_positions)),
-            _colocated(query_positions[excluded], database_positions, threshold),
+            np.arange(len(database_positions)), _colocated(query_positions[excluded], database_positions, threshold)
         ),
     )
 

@@ -30,8 +30,25 @@ def checked_fit(X: np.ndarray, condition: np.ndarray) -> tuple[np.ndarray, np.nd
     return X, condition
 
 
-def _chunks(width: int) -> range:
-    return range(0, width, _CHUNK)
+def checked_rows(X: np.ndarray, width: int) -> np.ndarray:
+    """Return descriptors to transform, in float32 unless they are float64, or raise ``ValueError`` if they do not fit."""
+    X = np.asarray(X)
+    if X.ndim != 2 or X.shape[1] != width:
+        raise ValueError(f"descriptors have the shape {X.shape}; this transform was fitted on (n, {width})")
+    return X if X.dtype == np.float64 else X.astype(np.float32, copy=False)
+
+
+def precision(X: np.ndarray) -> float:
+    """Return the epsilon of the coarsest of float16, float32 and float64 that holds every value."""
+    for kind in (np.float16, np.float32):
+        with np.errstate(over="ignore"):
+            if all((rows.astype(kind) == rows).all() for rows in X):
+                return float(np.finfo(kind).eps)
+    return float(np.finfo(np.float64).eps)
+
+
+def _chunks(width: int) -> list[slice]:
+    return [slice(start, start + _CHUNK) for start in range(0, width, _CHUNK)]
 
 
 def gram_matrix(X: np.ndarray, mean: np.ndarray, device: Any) -> np.ndarray:
@@ -40,8 +57,8 @@ def gram_matrix(X: np.ndarray, mean: np.ndarray, device: Any) -> np.ndarray:
 
     target = torch.device(device or "cpu")
     total = torch.zeros((len(X), len(X)), dtype=torch.float64, device=target)
-    for start in _chunks(X.shape[1]):
-        part = X[:, start : start + _CHUNK].astype(np.float64) - mean[start : start + _CHUNK]
+    for columns in _chunks(X.shape[1]):
+        part = X[:, columns].astype(np.float64) - mean[columns]
         block = torch.from_numpy(part).to(target)
         total.addmm_(block, block.T)
     return total.cpu().numpy()
@@ -58,9 +75,8 @@ def scatter_matrix(X: np.ndarray, mean: np.ndarray, device: Any) -> np.ndarray:
 def weighted_sum(X: np.ndarray, mean: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return ``(X - mean)' weights`` in float64, a slice of columns at a time."""
     out = np.empty((X.shape[1], weights.shape[1]))
-    for start in _chunks(X.shape[1]):
-        part = X[:, start : start + _CHUNK].astype(np.float64) - mean[start : start + _CHUNK]
-        out[start : start + _CHUNK] = part.T @ weights
+    for columns in _chunks(X.shape[1]):
+        out[columns] = (X[:, columns].astype(np.float64) - mean[columns]).T @ weights
     return out
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import os
 
 import numpy as np
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
-from artifact import store
-from artifact.suppression.samples import checked_fit
+from artifact.suppression import saved
+from artifact.suppression.samples import checked_fit, checked_rows
 
-_BLOCK = 1024  # rows whose means and deviations are spread out at a time
+_BLOCK = 2**22  # values that are standardised at a time
 
 
 class STD(BaseEstimator):
@@ -39,10 +39,7 @@ class STD(BaseEstimator):
     def fit(self, X: np.ndarray, condition: np.ndarray) -> STD:
         """Fit on descriptors ``(n, d)`` and their conditions ``(n,)``.
 
-        Raises
-        ------
-        ValueError
-            If there are fewer than two conditions or two rows in one, or the descriptors are constant or not finite.
+        Raises ``ValueError`` for fewer than two conditions or two rows in one, and for constant or infinite descriptors.
         """
         X, condition = checked_fit(X, condition)
         self.conditions_ = np.unique(condition)
@@ -53,47 +50,32 @@ class STD(BaseEstimator):
         self.scale_ = np.where(flat, 1.0, deviation)
         return self
 
-    def save(self, path: Path) -> None:
-        """Write the fitted values to an ``.npz`` file; :func:`artifact.load_transform` reads it."""
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the fitted transform to a file for :func:`artifact.load_transform`, whole or not at all."""
         check_is_fitted(self)
-        arrays = {"conditions": self.conditions_, "mean": self.mean_, "scale": self.scale_}
-        store.write_arrays(Path(path), {"kind": np.array("STD"), **arrays})
+        saved.write(path, "std", conditions=self.conditions_, mean=self.mean_, scale=self.scale_)
 
-    @classmethod
-    def from_arrays(cls, conditions: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> STD:
-        """Rebuild a fitted transform from its attributes."""
-        fitted = cls()
-        fitted.conditions_, fitted.mean_, fitted.scale_ = conditions, mean, scale
-        return fitted
-
-    def transform(self, X: np.ndarray, condition: np.ndarray | int | str, *, copy: bool = True) -> np.ndarray:
+    def transform(self, X: np.ndarray, condition: np.ndarray | int, *, copy: bool = True) -> np.ndarray:
         """Standardise descriptors ``(n, d)`` by their conditions, ``(n,)`` or one for all; the dtype is kept.
 
-        With ``copy=False`` floats of 32 or 64 bits are changed in place.
+        ``copy=False`` writes the result into ``X`` itself if that is float32 or float64.
 
-        Raises
-        ------
-        ValueError
-            If the width differs, or a condition was not seen at fit.
+        Raises ``ValueError`` if the width differs, or a condition was not seen at fit.
         """
         check_is_fitted(self)
-        X = np.asarray(X)
-        if X.ndim != 2 or X.shape[1] != self.mean_.shape[1]:
-            raise ValueError(
-                f"descriptors have the shape {X.shape}; this transform was fitted on (n, {self.mean_.shape[1]})"
-            )
+        X = checked_rows(given := np.asarray(X), self.mean_.shape[1])
         rows = np.broadcast_to(np.asarray(condition), len(X))
         unseen = np.setdiff1d(rows, self.conditions_)
         if unseen.size:
             raise ValueError(
                 f"condition {unseen[0]} was not seen at fit; the conditions are {self.conditions_.tolist()}"
             )
+        mean, scale = self.mean_.astype(X.dtype), self.scale_.astype(X.dtype)
         index = np.searchsorted(self.conditions_, rows)
-        kind = X.dtype if X.dtype in (np.float32, np.float64) else np.float32
-        mean, scale = self.mean_.astype(kind), self.scale_.astype(kind)
-        out = np.empty(X.shape, kind) if copy or X.dtype != kind else X
-        for start in range(0, len(X), _BLOCK):
-            block = slice(start, start + _BLOCK)
-            np.subtract(X[block], mean[index[block]], out=out[block], casting="same_kind")
-            out[block] /= scale[index[block]]
+        out = np.empty_like(X) if copy and X is given else X
+        step = max(1, _BLOCK // X.shape[1])
+        for start in range(0, len(X), step):
+            part = slice(start, start + step)
+            np.subtract(X[part], mean[index[part]], out=out[part])
+            out[part] /= scale[index[part]]
         return out
