@@ -87,7 +87,7 @@ $(VENV)/.ready: environment.txt pyproject.toml
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
 	@# uv reads none of pip's settings: where pip has an index, proxy or certificate and uv has none, pip installs.
 	@if command -v uv >/dev/null 2>&1 && { env | grep -q '^UV_' || \
-		! $(VENV)/bin/python -m pip config list | grep -qE '(index-url|proxy|cert|no-index|find-links)='; }; then \
+		! $(VENV)/bin/python -m pip config list | grep -E '(index-url|proxy|cert|no-index|find-links)=' >/dev/null; }; then \
 		uv pip install --quiet --python $(VENV)/bin/python --no-deps --require-hashes -r environment.txt; \
 	else $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r environment.txt; fi
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .

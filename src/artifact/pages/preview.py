@@ -19,21 +19,22 @@ from artifact.studies.preview import in_words
 
 def traversals_table(frame: pd.DataFrame, unit: str) -> HTML:
     """Show the traversals of a dataset; ``unit`` is that of their spacing."""
-    rows = [
-        {
+    pictures = frame["size"].notna().any()
+    rows = []
+    for row in frame.to_dict("records"):
+        cells = {
             "Traversal": row["traversal"],
             "Condition": row["condition"],
             "Use": row["use"],
             "Images": row["images"],
-            f"Spacing ({unit})": number(row["spacing"]),
-            "Size": row["size"] or "–",
-            "Other sizes": "–" if row["size"] is None else row["other_sizes"],
-            "Modes": row["modes"] or "–",
-            "Brightness": number(row["brightness"], digits=2),
         }
-        for row in frame.to_dict("records")
-    ]
-    caption = "Spacing: median between neighbours. Size, modes and brightness (0 to 1): of at most 25 images of each."
+        cells[f"Spacing ({unit})"] = number(row["spacing"])
+        if pictures:
+            cells |= {"Size": row["size"] or "–", "Other sizes": row["other_sizes"], "Modes": row["modes"] or "–"}
+            cells["Brightness"] = number(row["brightness"], digits=2)
+        rows.append(cells)
+    caption = "Spacing: median between neighbours."
+    caption += " Size, modes and brightness (0 to 1): of at most 25 images of each." if pictures else ""
     return table(rows, text=3, caption=caption)
 
 
