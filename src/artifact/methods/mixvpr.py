@@ -7,6 +7,8 @@ channels and over positions.
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from torch import nn
 from torch.nn import functional
@@ -58,17 +60,9 @@ class MixVPR(nn.Module):
         self.aggregator = _MixAggregator()
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Describe images (b, 3, 320, 320): unit vectors (b, 4096), float32.
-
-        Raises
-        ------
-        ValueError
-            If shape, size, dtype or device do not fit.
-        """
+        """Describe images (b, 3, 320, 320): unit vectors (b, 4096), float32."""
         check_images(images, self, exact=_SIDE)
         return self.aggregator(self.backbone["model"](images))
 
 
-def mixvpr() -> MixVPR:
-    """Build MixVPR (ResNet-50, 4096 dimensions) without trained weights, in eval mode."""
-    return untrained(MixVPR)
+mixvpr = partial(untrained, MixVPR)

@@ -13,26 +13,15 @@ _PILLOW_FILTERS = {"bilinear": Image.Resampling.BILINEAR, "bicubic": Image.Resam
 
 
 def prepare(image: Image.Image, preprocessing: Preprocessing) -> torch.Tensor:
-    """Resize, crop and normalise one decoded image.
-
-    Returns
-    -------
-    torch.Tensor
-        ``(3, h, w)`` or ``(1, h, w)`` float32: ``(value / 255 - mean) / std``.
-    """
+    """Resize, crop and normalise one decoded image to ``(value / 255 - mean) / std``, ``(3 or 1, h, w)`` float32."""
     size = target_size(image.height, image.width, preprocessing)
     if preprocessing.library == "pillow" and size != (image.height, image.width):
         image = image.resize(size[::-1], _PILLOW_FILTERS[preprocessing.interpolation])
     array = np.asarray(image).reshape(image.height, image.width, -1)
     tensor = torch.from_numpy(array.transpose(2, 0, 1).copy()).float().div_(255)
     if preprocessing.library == "tensor" and tuple(tensor.shape[-2:]) != size:
-        tensor = functional.interpolate(
-            tensor[None],
-            size=size,
-            mode=preprocessing.interpolation,
-            align_corners=False,
-            antialias=preprocessing.antialias,
-        )[0]
+        how = {"mode": preprocessing.interpolation, "align_corners": False, "antialias": preprocessing.antialias}
+        tensor = functional.interpolate(tensor[None], size=size, **how)[0]
     tensor = _centre_crop(tensor, preprocessing.crop_to_multiple_of)
     mean, std = (torch.tensor(v, dtype=torch.float32).view(-1, 1, 1) for v in (preprocessing.mean, preprocessing.std))
     return tensor.sub_(mean).div_(std).contiguous()

@@ -8,6 +8,7 @@ token are the descriptor.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import torch
 from torch import nn
@@ -24,26 +25,11 @@ _ITERATIONS = 3
 
 
 def assign_by_transport(scores: torch.Tensor, dustbin: torch.Tensor, iterations: int = _ITERATIONS) -> torch.Tensor:
-    """Assign patches softly to clusters by Sinkhorn's algorithm, with a dustbin.
+    """Turn scores (b, m, n) of m clusters and n > m patches into shares of patches, with a dustbin (Sinkhorn).
 
-    The transport plan over m clusters and the dustbin is exp(scores), its rows scaled to sum to 1 per
-    cluster and n − m for the dustbin, then its columns to sum to 1 per patch, alternately. The columns come
-    last, so their sums are exact. The dustbin's score is one constant, which scaling its row absorbs at
-    once: it has no influence on the result.
-
-    Parameters
-    ----------
-    scores : torch.Tensor
-        Logarithmic affinity of clusters and patches, shape (b, m, n) with n > m.
-    dustbin : torch.Tensor
-        Score of the dustbin with every patch, a scalar.
-    iterations : int
-        Number of times that rows and columns are scaled.
-
-    Returns
-    -------
-    torch.Tensor
-        Share of each patch given to each cluster, shape (b, m, n), without the dustbin's row.
+    The transport plan over the clusters and the dustbin is exp(scores), its rows scaled to sum to 1 per cluster and n − m for
+    the dustbin, then its columns to sum to 1 per patch, alternately. The columns come last, so their sums are exact. The
+    dustbin's score is one constant, which scaling its row absorbs at once: it has no influence on the result.
 
     Examples
     --------
@@ -62,13 +48,7 @@ def assign_by_transport(scores: torch.Tensor, dustbin: torch.Tensor, iterations:
 
 
 class OptimalTransportAggregator(nn.Module):
-    """SALAD's aggregation of a feature map and a class token.
-
-    Parameters
-    ----------
-    cluster_dimension : int
-        Channels of the features that are summed per cluster: 128 in SALAD, 256 in MegaLoc.
-    """
+    """SALAD's aggregation of a feature map and a class token; per cluster, 128 channels in SALAD, 256 in MegaLoc."""
 
     def __init__(self, cluster_dimension: int) -> None:
         super().__init__()
@@ -102,29 +82,10 @@ class SALAD(nn.Module):
         self.aggregator = OptimalTransportAggregator(128)
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Describe images (b, 3, h, w): unit vectors (b, 8448), float32.
-
-        Height and width are multiples of 14, with more than 64 patches of 14 × 14 pixels.
-
-        Raises
-        ------
-        ValueError
-            If shape, size, dtype or device do not fit.
-        """
+        """Describe images (b, 3, h, w), multiples of 14, more than 64 patches: unit vectors (b, 8448), float32."""
         height, width = check_images(images, self, multiple=PATCH, more_patches_than=CLUSTERS)
         tokens = self.backbone["model"](images)
         return self.aggregator(feature_map(tokens, height, width), tokens[:, 0])
 
 
-def salad() -> SALAD:
-    """Build SALAD (8448 dimensions) without trained weights, in eval mode."""
-    return untrained(SALAD)
-
-
-def salad_cm() -> SALAD:
-    """Build SALAD-CM: `salad`'s architecture, for weights trained with Clique Mining.
-
-    The hub entry in the authors' repository of Clique Mining loads the weights of plain SALAD; those of
-    SALAD-CM are a file of their own.
-    """
-    return untrained(SALAD)
+salad = salad_cm = partial(untrained, SALAD)  # SALAD-CM has the same architecture; its weights are a file of their own

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
+from functools import partial
+
 import torch
 from torch import nn
 from torch.nn import functional
 
-from artifact.methods.blocks.adapters import BottleneckAdapter
-from artifact.methods.blocks.dinov2 import Block, feature_map, vit_large
+from artifact.methods.blocks.adapters import bottleneck_adapter
+from artifact.methods.blocks.dinov2 import Block, FeedForward, feature_map, vit_large
 from artifact.methods.blocks.inputs import check_images
 from artifact.methods.blocks.pooling import unit_gem
 from artifact.methods.blocks.untrained import untrained
@@ -17,10 +20,10 @@ _ADAPTER_SCALE = 0.2
 
 
 class _AdaptedBlock(Block):
-    def __init__(self, width: int, heads: int, feed_forward: type[nn.Module]) -> None:
+    def __init__(self, width: int, heads: int, feed_forward: FeedForward) -> None:
         super().__init__(width, heads, feed_forward)
-        self.adapter1 = BottleneckAdapter(width)
-        self.adapter2 = BottleneckAdapter(width)
+        self.adapter1 = bottleneck_adapter(width)
+        self.adapter2 = bottleneck_adapter(width)
 
     def attention_branch(self, x: torch.Tensor) -> torch.Tensor:
         attended = self.attn(x)
@@ -30,15 +33,11 @@ class _AdaptedBlock(Block):
         return self.mlp(x) + _ADAPTER_SCALE * self.adapter2(x)
 
 
-class _LocalAdapter(nn.Module):
-    def __init__(self) -> None:
-        super().__init__()
-        self.upconv1 = nn.ConvTranspose2d(1024, 256, 3, stride=2, padding=1)
-        self.upconv2 = nn.ConvTranspose2d(256, 128, 3, stride=2, padding=1)
-
-    def forward(self, features: torch.Tensor) -> torch.Tensor:
-        """Map features (b, 1024, 16, 16) to (b, 128, 61, 61)."""
-        return self.upconv2(functional.relu(self.upconv1(features)))
+def _local_adapter() -> nn.Sequential:
+    """Map features (b, 1024, 16, 16) to (b, 128, 61, 61)."""
+    first = nn.ConvTranspose2d(1024, 256, 3, stride=2, padding=1)
+    second = nn.ConvTranspose2d(256, 128, 3, stride=2, padding=1)
+    return nn.Sequential(OrderedDict(upconv1=first, relu=nn.ReLU(), upconv2=second))
 
 
 class SelaVPR(nn.Module):
@@ -48,33 +47,14 @@ class SelaVPR(nn.Module):
         super().__init__()
         self.backbone = vit_large(block=_AdaptedBlock)
         self.aggregation = unit_gem()
-        self.LocalAdapt = _LocalAdapter()
+        self.LocalAdapt = _local_adapter()
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Describe images (b, 3, 224, 224): unit vectors (b, 1024), float32.
-
-        Raises
-        ------
-        ValueError
-            If shape, size, dtype or device do not fit.
-        """
+        """Describe images (b, 3, 224, 224): unit vectors (b, 1024), float32."""
         return self._describe(self._features(images))
 
     def global_and_local(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Describe images (b, 3, 224, 224) for both stages, in one pass.
-
-        Returns
-        -------
-        descriptors : torch.Tensor
-            What `forward` returns, shape (b, 1024).
-        local : torch.Tensor
-            Local features of unit length, shape (b, 61, 61, 128): 1.9 MB per image in float32.
-
-        Raises
-        ------
-        ValueError
-            If shape, size, dtype or device do not fit.
-        """
+        """Return what `forward` does, and unit local features (b, 61, 61, 128): 1.9 MB per image in float32."""
         features = self._features(images)
         local = functional.normalize(self.LocalAdapt(features).permute(0, 2, 3, 1), dim=3)
         return self._describe(features), local
@@ -87,6 +67,4 @@ class SelaVPR(nn.Module):
         return functional.normalize(self.aggregation(features), dim=1)
 
 
-def selavpr() -> SelaVPR:
-    """Build SelaVPR (1024 dimensions) without trained weights, in eval mode."""
-    return untrained(SelaVPR)
+selavpr = partial(untrained, SelaVPR)

@@ -8,6 +8,7 @@ ranked by the descriptors.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from torch import nn
@@ -59,57 +60,32 @@ class SelaVPRPlusPlus(nn.Module):
         self.linear4 = nn.Linear(_WIDTH, 512)
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Describe square images (b, 3, h, h), h a multiple of 14: unit vectors (b, 4096), float32.
-
-        The hashing branch is not computed.
-
-        Raises
-        ------
-        ValueError
-            If shape, size, dtype or device do not fit.
-        """
-        side = self._check(images)
-        (tokens,) = self.backbone.branches(images, [self.backbone.adapters])
-        return self._describe(tokens, side)
+        """Describe square images (b, 3, h, h), h a multiple of 14: unit vectors (b, 4096), float32; no hash codes."""
+        return self._heads(images)[0]
 
     def descriptors_and_codes(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Describe square images (b, 3, h, h) for both stages, in one pass.
+        """Return what `forward` does, and hash codes of +1 and −1 (b, 512), int8.
 
-        Returns
-        -------
-        descriptors : torch.Tensor
-            What `forward` returns, shape (b, 4096).
-        codes : torch.Tensor
-            Hash codes of +1 and −1, shape (b, 512), int8. The Hamming distance of two is (512 − their dot
-            product) / 2.
-
-        Raises
-        ------
-        ValueError
-            If shape, size, dtype or device do not fit.
+        The Hamming distance of two codes is (512 − their dot product) / 2.
         """
         descriptors, values = self.descriptors_and_hash_values(images)
         return descriptors, torch.where(values >= 0, 1, -1).to(torch.int8)
 
     def descriptors_and_hash_values(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the descriptors (b, 4096) and the unit vectors (b, 512) whose signs are the hash codes."""
-        side = self._check(images)
-        adapters = [self.backbone.adapters, self.backbone.adapters_hashing]
-        tokens, hashing_tokens = self.backbone.branches(images, adapters)
-        return self._describe(tokens, side), self._hash_values(hashing_tokens, side)
+        descriptors, values = self._heads(images, hashing=True)
+        return descriptors, values
 
-    def _check(self, images: torch.Tensor) -> int:
-        return check_images(images, self, multiple=PATCH, square=True)[0]
-
-    def _describe(self, tokens: torch.Tensor, side: int) -> torch.Tensor:
-        pooled = self.aggregation(feature_map(self.linear1(tokens), side, side))
-        return functional.normalize(self.linear2(pooled), dim=1)
-
-    def _hash_values(self, tokens: torch.Tensor, side: int) -> torch.Tensor:
-        pooled = self.aggregation_hashing(feature_map(self.linear3(tokens), side, side))
-        return functional.normalize(self.linear4(pooled), dim=1)
+    def _heads(self, images: torch.Tensor, *, hashing: bool = False) -> list[torch.Tensor]:
+        side = check_images(images, self, multiple=PATCH, square=True)[0]
+        heads = [(self.backbone.adapters, self.linear1, self.aggregation, self.linear2)]
+        if hashing:
+            heads += [(self.backbone.adapters_hashing, self.linear3, self.aggregation_hashing, self.linear4)]
+        branches = self.backbone.branches(images, [adapters for adapters, *_ in heads])
+        return [
+            functional.normalize(last(pool(feature_map(first(tokens), side, side))), dim=1)
+            for tokens, (_, first, pool, last) in zip(branches, heads, strict=True)
+        ]
 
 
-def selavprpp() -> SelaVPRPlusPlus:
-    """Build SelaVPR++ (large, 4096 dimensions and 512 bits) without trained weights, in eval mode."""
-    return untrained(SelaVPRPlusPlus)
+selavprpp = partial(untrained, SelaVPRPlusPlus)

@@ -35,15 +35,7 @@ class MultiHeadAttention(nn.Module):
 
 
 class EncoderLayer(nn.Module):
-    """Transformer encoder layer that normalises after each residual addition.
-
-    Parameters
-    ----------
-    width, heads, hidden : int
-        Channels of a token, number of attention heads, channels inside the feed-forward network.
-    activation : callable
-        Nonlinearity of the feed-forward network: `relu` in BoQ, `gelu` in CricaVPR.
-    """
+    """Transformer encoder layer that normalises after each residual addition, with `hidden` channels inside."""
 
     def __init__(
         self,

@@ -6,6 +6,8 @@ Parameter names are Meta's, so that a released checkpoint, or that of a method b
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
+from collections.abc import Callable
 
 import torch
 from torch import nn
@@ -17,24 +19,15 @@ TRAINED_GRID = 37  # patches on a side of the 518 × 518 pixel images of the las
 _EPSILON = 1e-6  # of the layer normalisations; PyTorch's default is ten times larger
 _OFFSET = 0.1  # patches, see `interpolate_positions`
 
+FeedForward = Callable[[int], nn.Module]  # from the width of a token
+
 
 def interpolate_positions(embedding: torch.Tensor, rows: int, columns: int) -> torch.Tensor:
     """Resample position embeddings to another grid of patches, as DINOv2 does.
 
-    Bicubic, without antialiasing. The step between samples is 37 / (rows + 0.1), not 37 / rows: DINOv2 adds
-    0.1 patches, historically against rounding errors, and every method built on it inherits that.
-
-    Parameters
-    ----------
-    embedding : torch.Tensor
-        Shape (1, 1 + 37², c): the class token's embedding, then the trained grid's, row by row.
-    rows, columns : int
-        Size of the new grid, in patches.
-
-    Returns
-    -------
-    torch.Tensor
-        Shape (1, 1 + rows · columns, c), same dtype.
+    Bicubic, without antialiasing, from (1, 1 + 37², c) to (1, 1 + rows · columns, c); the class token comes first. The step
+    between samples is 37 / (rows + 0.1), not 37 / rows: DINOv2 adds 0.1 patches, historically against rounding errors, and
+    every method built on it inherits that.
 
     Examples
     --------
@@ -48,18 +41,6 @@ def interpolate_positions(embedding: torch.Tensor, rows: int, columns: int) -> t
     scales = ((rows + _OFFSET) / TRAINED_GRID, (columns + _OFFSET) / TRAINED_GRID)
     grid = functional.interpolate(grid, scale_factor=scales, mode="bicubic", align_corners=False)
     return torch.cat((exact[:, :1], grid.flatten(2).transpose(1, 2)), dim=1).to(embedding.dtype)
-
-
-class PatchEmbedding(nn.Module):
-    """Linear embedding of each 14 × 14 pixel patch."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.proj = nn.Conv2d(3, width, PATCH, stride=PATCH)
-
-    def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Map images (b, 3, h, w) to tokens (b, h / 14 · w / 14, width), row by row."""
-        return self.proj(images).flatten(2).transpose(1, 2)
 
 
 class SelfAttention(nn.Module):
@@ -78,24 +59,16 @@ class SelfAttention(nn.Module):
         return self.proj(attended.transpose(1, 2).flatten(2))
 
 
-class Perceptron(nn.Module):
-    """Feed-forward network with exact GELU and four times the width inside."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.fc1 = nn.Linear(width, 4 * width)
-        self.fc2 = nn.Linear(4 * width, width)
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Map tokens (b, n, width) to (b, n, width)."""
-        return self.fc2(functional.gelu(self.fc1(x)))
+def perceptron(width: int) -> nn.Module:
+    """Feed-forward network of tokens (b, n, width) with exact GELU and four times the width inside."""
+    hidden = 4 * width
+    return nn.Sequential(OrderedDict(fc1=nn.Linear(width, hidden), gelu=nn.GELU(), fc2=nn.Linear(hidden, width)))
 
 
 class GatedPerceptron(nn.Module):
     """Feed-forward network of ViT-g: SwiGLU (Shazeer 2020), w3(silu(w1 x) · w2 x), w1 and w2 in one matrix.
 
-    The hidden width is two thirds of the usual four times, rounded up to a multiple of 8, which keeps the
-    number of parameters.
+    The hidden width is two thirds of the usual four times, rounded up to a multiple of 8: as many parameters.
     """
 
     def __init__(self, width: int) -> None:
@@ -128,7 +101,7 @@ class Block(nn.Module):
     A method that puts adapters into the block overrides `attention_branch` or `feed_forward_branch`.
     """
 
-    def __init__(self, width: int, heads: int, feed_forward: type[nn.Module] = Perceptron) -> None:
+    def __init__(self, width: int, heads: int, feed_forward: FeedForward = perceptron) -> None:
         super().__init__()
         self.norm1 = nn.LayerNorm(width, eps=_EPSILON)
         self.attn = SelfAttention(width, heads)
@@ -154,20 +127,8 @@ class Block(nn.Module):
 class VisionTransformer(nn.Module):
     """DINOv2 vision transformer with patches of 14 × 14 pixels.
 
-    Parameters
-    ----------
-    width : int
-        Channels of a token.
-    depth : int
-        Number of blocks.
-    heads : int
-        Number of attention heads.
-    block : type
-        `Block` or a subclass with adapters.
-    feed_forward : type
-        `Perceptron`, or `GatedPerceptron` for ViT-g.
-    mask_token : bool
-        Whether the checkpoint holds the mask token, which only pre-training uses.
+    `block` is `Block` or a subclass with adapters, `feed_forward` is `perceptron`, or `GatedPerceptron` for ViT-g.
+    `mask_token` says whether the checkpoint holds the mask token, which only pre-training uses.
     """
 
     def __init__(
@@ -177,7 +138,7 @@ class VisionTransformer(nn.Module):
         heads: int,
         *,
         block: type[Block] = Block,
-        feed_forward: type[nn.Module] = Perceptron,
+        feed_forward: FeedForward = perceptron,
         mask_token: bool = True,
     ) -> None:
         super().__init__()
@@ -185,14 +146,14 @@ class VisionTransformer(nn.Module):
         self.pos_embed = nn.Parameter(torch.zeros(1, 1 + TRAINED_GRID**2, width))
         if mask_token:
             self.mask_token = nn.Parameter(torch.zeros(1, width))
-        self.patch_embed = PatchEmbedding(width)
+        self.patch_embed = nn.ModuleDict({"proj": nn.Conv2d(3, width, PATCH, stride=PATCH)})
         self.blocks = nn.ModuleList(block(width, heads, feed_forward) for _ in range(depth))
         self.norm = nn.LayerNorm(width, eps=_EPSILON)
 
     def embed(self, images: torch.Tensor) -> torch.Tensor:
         """Map images (b, 3, h, w) to the first block's tokens (b, 1 + h / 14 · w / 14, width)."""
         rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
-        patches = self.patch_embed(images)
+        patches = self.patch_embed["proj"](images).flatten(2).transpose(1, 2)
         tokens = torch.cat((self.cls_token.expand(len(patches), -1, -1), patches), dim=1)
         return tokens + interpolate_positions(self.pos_embed, rows, columns)
 
@@ -204,11 +165,7 @@ class VisionTransformer(nn.Module):
         return tokens
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Map images (b, 3, h, w) to normalised tokens (b, 1 + h / 14 · w / 14, width).
-
-        Height and width are multiples of 14. The first token is the class token; the patches follow row by
-        row.
-        """
+        """Map images (b, 3, h, w) to normalised tokens: the class token, then the patches row by row."""
         return self.norm(self.encode(images))
 
 
@@ -223,18 +180,5 @@ def vit_large(*, block: type[Block] = Block) -> VisionTransformer:
 
 
 def feature_map(tokens: torch.Tensor, height: int, width: int) -> torch.Tensor:
-    """Lay patch tokens out as an image.
-
-    Parameters
-    ----------
-    tokens : torch.Tensor
-        Shape (b, 1 + n, c): the class token, then the patches row by row.
-    height, width : int
-        Size of the image that they describe, in pixels.
-
-    Returns
-    -------
-    torch.Tensor
-        Shape (b, c, height / 14, width / 14).
-    """
+    """Lay the patches of tokens (b, 1 + n, c) out as a map (b, c, height / 14, width / 14); the size is in pixels."""
     return tokens[:, 1:].transpose(1, 2).unflatten(2, (height // PATCH, width // PATCH))

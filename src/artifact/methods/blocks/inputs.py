@@ -18,34 +18,10 @@ def check_images(
     square: bool = False,
     more_patches_than: int = 0,
 ) -> tuple[int, int]:
-    """Check that a model can describe a batch of images, and return the image size.
+    """Check that a model can describe images (b, 3, height, width), and return height and width.
 
-    Parameters
-    ----------
-    images : torch.Tensor
-        The batch: shape (b, 3, height, width) with b ≥ 1, dtype and device of the model's weights.
-    model : torch.nn.Module
-        The model; its class name appears in the messages.
-    exact : int, optional
-        The only height and width allowed, in pixels.
-    multiple : int
-        Height and width must be multiples of this many pixels.
-    at_least : int
-        Smallest height and width, in pixels.
-    square : bool
-        Whether height and width must be equal.
-    more_patches_than : int
-        Lower bound (exclusive) on the number of 14 × 14 pixel patches, after rounding to whole patches.
-
-    Returns
-    -------
-    tuple of int
-        Height and width in pixels.
-
-    Raises
-    ------
-    ValueError
-        If a rule is broken. The message says what was found, what is allowed and what to do.
+    The rules are in pixels, but for the number of 14 × 14 pixel patches (after rounding to whole ones), a lower bound. Shape,
+    dtype and device must be the model's; a broken rule is a ``ValueError`` with what was found, is allowed, and to do.
     """
     name = type(model).__name__
     _check_tensor(images, next(model.parameters()), name)

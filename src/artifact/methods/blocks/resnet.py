@@ -24,31 +24,20 @@ class Bottleneck(nn.Module):
         self.bn2 = nn.BatchNorm2d(hidden)
         self.conv3 = nn.Conv2d(hidden, out, 1, bias=False)
         self.bn3 = nn.BatchNorm2d(out)
-        self.downsample: nn.Module | None = None
-        if stride != 1 or channels != out:
-            self.downsample = nn.Sequential(nn.Conv2d(channels, out, 1, stride=stride, bias=False), nn.BatchNorm2d(out))
+        projection = nn.Sequential(nn.Conv2d(channels, out, 1, stride=stride, bias=False), nn.BatchNorm2d(out))
+        self.downsample = projection if stride != 1 or channels != out else nn.Identity()
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Map features (b, channels, h, w) to (b, 4 · hidden, ⌈h / stride⌉, ⌈w / stride⌉)."""
-        shortcut = x if self.downsample is None else self.downsample(x)
         y = functional.relu(self.bn1(self.conv1(x)))
         y = functional.relu(self.bn2(self.conv2(y)))
-        return functional.relu(self.bn3(self.conv3(y)) + shortcut)
+        return functional.relu(self.bn3(self.conv3(y)) + self.downsample(x))
 
 
 def resnet_stages(depths: tuple[int, ...]) -> OrderedDict[str, nn.Module]:
-    """Return the stem and the stages of a ResNet, in order, under their customary names.
+    """Return the stem and the stages of a ResNet in order: ``conv1, bn1, relu, maxpool, layer1, ...``.
 
-    Parameters
-    ----------
-    depths : tuple of int
-        Number of bottlenecks per stage, such as `RESNET50`; fewer than four entries crop the network.
-
-    Returns
-    -------
-    OrderedDict of str to torch.nn.Module
-        ``conv1, bn1, relu, maxpool, layer1, ...``. After stage i the map has 128 · 2ⁱ channels and a stride
-        of 2 · 2ⁱ pixels (i = 1, ..., 4).
+    Fewer than four depths crop the network. After stage i the map has 128 · 2ⁱ channels and a stride of 2 · 2ⁱ pixels.
     """
     stages: OrderedDict[str, nn.Module] = OrderedDict(
         conv1=nn.Conv2d(3, 64, 7, stride=2, padding=3, bias=False),

@@ -13,24 +13,11 @@ Model = TypeVar("Model", bound=nn.Module)
 
 
 def untrained(make: Callable[[], Model], seed: int = 0) -> Model:
-    """Build a model for inference, with reproducible weights that no training has touched.
+    """Build a model for inference, in eval mode, with reproducible weights that no training has touched.
 
-    The constructor runs on the meta device, so PyTorch's own initialisation costs nothing and the global
-    random state is not used. Inside ``with torch.device("meta")`` nothing at all is allocated: the way to
-    load a checkpoint with ``load_state_dict(checkpoint, strict=True, assign=True)`` at the cost of one
-    copy.
-
-    Parameters
-    ----------
-    make : callable
-        Makes the module; takes no arguments.
-    seed : int
-        Seed of the weights.
-
-    Returns
-    -------
-    torch.nn.Module
-        The module in eval mode, on PyTorch's default device, no parameter requiring a gradient.
+    The constructor runs on the meta device, so PyTorch's own initialisation costs nothing and the global random state is not
+    used. Inside ``with torch.device("meta")`` nothing at all is allocated: the way to load a checkpoint (``strict=True,
+    assign=True``) at the cost of one copy.
 
     Examples
     --------
