@@ -345,7 +345,7 @@ def test_a_transform_that_cannot_be_applied_writes_nothing(files, capsys):
     for arguments, message in (
         (("std.npz", "q.npy", "out.npy"), "STD needs --condition; the conditions are database, query"),
         (("std.npz", "thin.npy", "out.npy", "--condition", "query"), "this transform was fitted on (n, 32)"),
-        (("q.npy", "q.npy", "out.npy"), "q.npy: no saved transform"),
+        (("q.npy", "q.npy", "out.npy"), "q.npy: not a saved transform (it holds one plain array)"),
         (("std.npz", "q.npy", "out.txt"), "the ending is '.txt'"),
     ):
         assert main(["suppress", "apply", *arguments]) == 1

@@ -345,6 +345,8 @@ def _key(manifest: Manifest, task: Task, shared: Mapping[str, Any], fingerprints
         stage="notebook",
         cells=cells,
         parameters=task.parameters,
+        # A page that says that nothing suits is not the answer to one that was asked for.
+        **({"dataset_asked": True} if task.dataset_asked else {}),
         shared=shared,
         datasets={name: fingerprints[name] for name in task.datasets},
         methods={name: methods.fingerprint(name, manifest.method(name)) for name in task.methods},

@@ -64,7 +64,7 @@ def run(manifest: Manifest, options: argparse.Namespace) -> Iterator[str]:
         temporary.write_text(page, encoding="utf-8")
     shown = _as_typed(folder)
     yield f"{shown}/{DESCRIPTION} and {shown}/{PREVIEW} written; next:"
-    yield f"  make reproduce SET='datasets=[\"{shown}\"] dataset=\"{shown}\"'"
+    yield f'  make reproduce SET=\'datasets=["{shown}"] dataset="{shown}"\''
     yield f"  .venv/bin/python -m artifact evaluate --datasets {shown}"
 
 

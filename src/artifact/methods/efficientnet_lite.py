@@ -101,7 +101,9 @@ def weights_path() -> Path:
     """Return the checkpoint file inside the installed weights package, or raise ``FileNotFoundError``."""
     spec = find_spec(_WEIGHTS_PACKAGE)
     folders = spec.submodule_search_locations if spec else None
-    path = next((Path(folder, _WEIGHTS_FILE) for folder in folders or [] if Path(folder, _WEIGHTS_FILE).is_file()), None)
+    path = next(
+        (Path(folder, _WEIGHTS_FILE) for folder in folders or [] if Path(folder, _WEIGHTS_FILE).is_file()), None
+    )
     if path is None:
         raise FileNotFoundError(
             f"the weights package {_WEIGHTS_PACKAGE} is not installed; it is in environment.txt, run `make` again"

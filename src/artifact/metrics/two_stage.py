@@ -22,7 +22,7 @@ from artifact.metrics.result import QUERY_POOL, Result, Ties, is_integer
 from artifact.metrics.two_stage_sweeps import Sweep, check_numbers, rank_of_best, sweep
 from artifact.ranking.candidates import DISTRACTOR, POSITIVE, Entries, Images, Problem, Scores, scored_entries
 
-REVISION = 1  # raise when any rank changes: it is part of the key of stored rankings
+REVISION = 2  # raise when any rank changes: it is part of the key of stored rankings
 
 
 @dataclass(frozen=True, kw_only=True)

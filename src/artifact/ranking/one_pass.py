@@ -22,7 +22,7 @@ from artifact.ranking.engines import Engine, engine_for
 Similarity = Literal["cosine", "dot", "l2"]
 
 ORIGINAL = "original"
-REVISION = 2  # raise when any count changes: it is part of the key of stored rankings
+REVISION = 3  # raise when any count changes: it is part of the key of stored rankings
 
 _TILE_SIDE = 1024
 _LARGEST_ROWS = 2048

@@ -30,7 +30,9 @@ def load_transform(path: str | os.PathLike[str]) -> LowRankMap | STD:
     try:
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
-    except (ValueError, EOFError, zipfile.BadZipFile, AttributeError, TypeError) as error:
+    except TypeError:
+        raise _refusal(path, "it holds one plain array") from None
+    except (ValueError, EOFError, zipfile.BadZipFile, AttributeError) as error:
         raise _refusal(path, str(error).split("\n")[0]) from None
     kind = str(arrays.pop("format", "")).removeprefix(FORMAT)
     if kind not in _SHAPES:
