@@ -1,6 +1,7 @@
 """From a traversal to its images: what is around, the passes of the renderer, and the folder, whole or not at all."""
 
 import csv
+import io
 import os
 import shutil
 import tempfile
@@ -228,7 +229,9 @@ def render(
 
 
 def _write_frame(traversal: CityTraversal, index: int, path: Path) -> None:
-    Image.fromarray(render_frame(traversal, index)).save(path, quality=JPEG_QUALITY, subsampling=1)
+    encoded = io.BytesIO()
+    Image.fromarray(render_frame(traversal, index)).save(encoded, "JPEG", quality=JPEG_QUALITY, subsampling=1)
+    path.write_bytes(encoded.getvalue())  # Pillow itself does not notice that a full disk took but a part
 
 
 def _write_positions(path: Path, names: list[str], where: np.ndarray, unit: str) -> None:
