@@ -7,32 +7,33 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from artifact import store
-from artifact.datasets import folder, shipped
+from artifact.datasets import folder, imported, lookalikes, prepared, shipped
+from artifact.datasets.positions import keep_spacing, names_in_csv, positions_from_csv, positions_from_names, zone_of
 from artifact.datasets.rendered import render, rendered_folder
 from artifact.datasets.traversal import Dataset, DatasetError, Given, Traversal
 from artifact.manifest import Manifest
-from artifact.manifest.entries import DatasetEntry, ManifestError
+from artifact.manifest.entries import DatasetEntry, ManifestError, Positions, TraversalEntry
 from artifact.manifest.layout import POSITIONS_FILE, positions_source
 
 __all__ = ["Dataset", "DatasetError", "Traversal", "image_folder", "listed", "load", "load_traversal"]
 
 
-def load(manifest: Manifest, name: str, traversals: Iterable[str] | None = None) -> Dataset:
+def load(manifest: Manifest, name: str, traversals: Iterable[str] = ()) -> Dataset:
     """Load a dataset: query, database and any further traversals.
 
     Parameters
     ----------
-    manifest
-        The manifest.
     name
         A dataset of the manifest, or the path of a folder (see :meth:`artifact.manifest.Manifest.dataset`).
     traversals
-        Names of further traversals to load; default none.
+        Names of further traversals to load.
 
     Raises
     ------
@@ -40,9 +41,12 @@ def load(manifest: Manifest, name: str, traversals: Iterable[str] | None = None)
         If files are missing or do not fit together; the message says how to obtain the dataset.
     """
     entry = manifest.dataset(name)
-    wanted = dict.fromkeys([entry.query, entry.database, *(traversals or [])])
+    wanted = dict.fromkeys([entry.query, entry.database, *traversals])
     loaded = {traversal: load_traversal(manifest, name, traversal) for traversal in wanted}
     _check_pair(name, entry, loaded[entry.query], loaded[entry.database])
+    root = manifest.data_root / (entry.root or name)
+    located = [t for t in loaded.values() if t.folder and _source(entry.traversals[t.name], t.folder, root) == "names"]
+    zone_of(name, [image for traversal in located for image in traversal.image_names])
     return Dataset(
         name=name,
         title=entry.title,
@@ -58,35 +62,57 @@ def load(manifest: Manifest, name: str, traversals: Iterable[str] | None = None)
 
 
 def load_traversal(manifest: Manifest, dataset: str, name: str) -> Traversal:
-    """Load one traversal of a dataset, rendering it if need be; see :func:`load`."""
+    """Load one traversal of a dataset, rendering it if need be; see :func:`load`.
+
+    Where neither images nor descriptors are at hand, an imported results bundle may have its record; where the images are,
+    that of its descriptors.
+    """
     entry = manifest.dataset(dataset)
     if name not in entry.traversals:
         raise ManifestError(f"{dataset}: no traversal {name!r}; the traversals are {', '.join(entry.traversals)}")
-    if entry.traversals[name].descriptors:
-        return _load_described(manifest, dataset, entry, name)
-    condition = entry.traversals[name].condition
-    if entry.kind == "city":
-        render(entry.traversals[name].render or {}, manifest.cache, f"{dataset}/{name}")
-    images = image_folder(manifest, dataset, name)
+    traversal, recorded = entry.traversals[name], imported.traversal(manifest, dataset, name)
+    if traversal.descriptors:
+        here = recorded is None or _positions_table(manifest, dataset, entry, name).exists()
+        return _load_described(manifest, dataset, entry, name) if here else recorded
+    if entry.kind == "city" and recorded is None:
+        render(traversal.render or {}, manifest.cache, f"{dataset}/{name}")
+    images: Path | None = _images(manifest, dataset, entry, name)
+    digests: list[str] = []
+    preparation: dict[str, Any] = {}
     if images.is_dir():
         names, positions = listed(manifest, dataset, name)
-        digests = store.digest_of_files([images / image for image in names], manifest.cache)
+        digests = prepared.digests_of_images(images, names, manifest.cache)
         digest = store.key(images=list(zip(names, digests, strict=True)))
-        return Traversal(dataset, name, condition, tuple(names), positions, digest, images)
-    without_images = shipped.traversal(entry.root or dataset, name)
-    if without_images is None:
-        raise DatasetError(_missing(dataset, entry, images, manifest))
-    names, digest = without_images
-    positions = np.arange(len(names), dtype=np.float64)[:, None]
-    return Traversal(dataset, name, condition, tuple(names), positions, digest)
+        if prepared.is_prepared(images):
+            preparation = prepared.unchanged(images, digest)
+        if recorded is not None and recorded.digest == digest and np.array_equal(recorded.positions, positions):
+            return replace(recorded, folder=images, image_digests=tuple(digests), preparation=preparation)
+    elif recorded is not None:
+        return recorded
+    elif without_images := shipped.traversal(entry.root or dataset, name):
+        (names, digest), images = without_images, None
+        positions = np.arange(len(names), dtype=np.float64)[:, None]
+    else:
+        raise DatasetError(_missing(manifest, dataset, entry, images))
+    return Traversal(
+        dataset,
+        name,
+        traversal.condition,
+        tuple(names),
+        positions,
+        digest,
+        images,
+        image_digests=tuple(digests),
+        preparation=preparation,
+    )
 
 
 def _load_described(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
     """Load a traversal that is given by its descriptors."""
     traversal, root = entry.traversals[name], manifest.data_root / (entry.root or dataset)
-    file = root / (traversal.positions_file or f"{name}.csv")
-    names = folder.names_in_csv(file)
-    positions, found = folder.positions_from_csv(file, names)
+    file = _positions_table(manifest, dataset, entry, name)
+    names = names_in_csv(file)
+    positions, found = positions_from_csv(file, names)
     if (found == "metres") != (entry.threshold.unit == "metres"):
         raise DatasetError(
             f"{dataset}/{name}: the threshold is in {entry.threshold.unit} but the positions in {file} are in {found}"
@@ -99,17 +125,24 @@ def _load_described(manifest: Manifest, dataset: str, entry: DatasetEntry, name:
     return Traversal(dataset, name, traversal.condition, tuple(names), positions, digest, None, *given)
 
 
+def _positions_table(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Path:
+    return manifest.data_root / (entry.root or dataset) / (entry.traversals[name].positions_file or f"{name}.csv")
+
+
 def _with_digests(label: str, files: Mapping[str, Path], cache: Path) -> dict[str, Given]:
     missing = [path for path in files.values() if not path.is_file()]
     if missing:
         raise DatasetError(f"{label}: no file {missing[0]}, which the manifest names")
     digests = store.digest_of_files(list(files.values()), cache)
-    return {method: Given(*pair) for method, pair in zip(files, zip(files.values(), digests, strict=True), strict=True)}
+    return {method: Given(path, digest) for (method, path), digest in zip(files.items(), digests, strict=True)}
 
 
 def image_folder(manifest: Manifest, dataset: str, name: str) -> Path:
     """Return the folder that holds, or would hold, the images of a traversal."""
-    entry = manifest.dataset(dataset)
+    return _images(manifest, dataset, manifest.dataset(dataset), name)
+
+
+def _images(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Path:
     traversal = entry.traversals[name]
     if entry.kind == "city":
         return rendered_folder(traversal.render or {}, manifest.cache, f"{dataset}/{name}")
@@ -118,41 +151,81 @@ def image_folder(manifest: Manifest, dataset: str, name: str) -> Path:
 
 def listed(manifest: Manifest, dataset: str, name: str) -> tuple[list[str], np.ndarray]:
     """Return the image names and positions of a traversal whose folder is there, reading no image."""
-    entry, images = manifest.dataset(dataset), image_folder(manifest, dataset, name)
-    traversal, root = entry.traversals[name], manifest.data_root / (entry.root or dataset)
-    names = folder.list_images(images, _below(root, traversal.image_list) if traversal.image_list else None)
-    source, unit = traversal.positions or positions_source(images), entry.threshold.unit
+    entry = manifest.dataset(dataset)
+    traversal, root, unit = entry.traversals[name], manifest.data_root / (entry.root or dataset), entry.threshold.unit
+    images = _images(manifest, dataset, entry, name)
+    if prepared.is_prepared(images):
+        names, positions, found = prepared.listed(images)
+        _check_unit(dataset, name, unit, found, "csv")
+        return names, positions
+    _refuse_unprepared(dataset, entry, images)
+    names = _image_names(manifest, dataset, entry, name)
+    source = _source(traversal, images, root)
     if source == "names":
-        positions, found = folder.positions_from_names(images, names), "metres"
+        positions, found = positions_from_names(images, names), "metres"
     elif source == "csv":
-        file = _below(root, traversal.positions_file) if traversal.positions_file else images / POSITIONS_FILE
-        positions, found = folder.positions_from_csv(file, names, images.name)
+        file = _positions_file(traversal, images, root)
+        positions, found = positions_from_csv(file, names, images.name)
     else:
-        positions, found = _frame_indices(manifest, dataset, names)[:, None], "frames"
-    if (found == "metres") != (unit == "metres"):
-        where = "are the frame order" if source == "order" else f"are in {found}"
-        raise DatasetError(f"{dataset}/{name}: the threshold is in {unit} but the positions {where}")
+        positions, found = _frame_indices(manifest, dataset, entry, names)[:, None], "frames"
+    _check_unit(dataset, name, unit, found, source)
     if traversal.spacing is not None:
-        kept = folder.keep_spacing(positions, traversal.spacing)
+        kept = keep_spacing(positions, traversal.spacing)
         names, positions = [names[index] for index in kept], positions[kept]
     return names, positions
 
 
+def _check_unit(dataset: str, name: str, unit: str, found: str, source: str) -> None:
+    if (found == "metres") != (unit == "metres"):
+        where = "are the frame order" if source == "order" else f"are in {found}"
+        raise DatasetError(f"{dataset}/{name}: the threshold is in {unit} but the positions {where}")
+
+
+def _refuse_unprepared(dataset: str, entry: DatasetEntry, images: Path) -> None:
+    """Refuse a folder of a published dataset that was filled by hand, where that cannot be right."""
+    if entry.preparation is None:
+        return
+    lookalikes.refuse(entry.preparation.recipe, images, folder.list_images(images))
+    if not entry.preparation.used_as_unpacked:
+        raise DatasetError(
+            f"{images}: holds images that were not prepared from the published files: which to use, and where they are, is "
+            f"not known; move the folder away and run `make data DATASET={dataset}`"
+        )
+
+
+def _image_names(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> list[str]:
+    chosen = entry.traversals[name].image_list
+    image_list = _below(manifest.data_root / (entry.root or dataset), chosen) if chosen else None
+    return folder.list_images(_images(manifest, dataset, entry, name), image_list)
+
+
+def _source(traversal: TraversalEntry, images: Path, root: Path) -> Positions:
+    """Where positions come from: as the entry says, else what is in the folder, else one file beside all folders."""
+    if prepared.is_prepared(images):
+        return "csv"
+    if traversal.positions:
+        return traversal.positions
+    found = "csv" if traversal.positions_file else positions_source(images)
+    return "csv" if found == "order" and (root / POSITIONS_FILE).is_file() else found
+
+
+def _positions_file(traversal: TraversalEntry, images: Path, root: Path) -> Path:
+    if traversal.positions_file:
+        return _below(root, traversal.positions_file)
+    inside = images / POSITIONS_FILE
+    return inside if inside.is_file() or not (root / POSITIONS_FILE).is_file() else root / POSITIONS_FILE
+
+
 def _below(root: Path, path: str) -> Path:
-    """A path of a description, which may be absolute or begin with ``~``; ``..`` leads out of folders that are not there."""
+    """A path that may be absolute or begin with ``~``; ``..`` leads out of folders that are not there."""
     return Path(os.path.normpath(root / Path(path).expanduser()))
 
 
-def _frame_indices(manifest: Manifest, dataset: str, names: list[str]) -> np.ndarray:
-    """Index of each frame: its place in its traversal, or with ``by_name`` that of its name among those of all traversals."""
-    entry = manifest.dataset(dataset)
+def _frame_indices(manifest: Manifest, dataset: str, entry: DatasetEntry, names: list[str]) -> np.ndarray:
+    """Index of each frame: its place in its traversal, or with ``by_name`` that of its name among all traversals'."""
     if not entry.by_name:
         return np.arange(len(names), dtype=np.float64)
-    root = manifest.data_root / (entry.root or dataset)
-    every: set[str] = set()
-    for name, traversal in entry.traversals.items():
-        chosen = _below(root, traversal.image_list) if traversal.image_list else None
-        every |= {stem(image) for image in folder.list_images(image_folder(manifest, dataset, name), chosen)}
+    every = {stem(image) for name in entry.traversals for image in _image_names(manifest, dataset, entry, name)}
     index = {one: place for place, one in enumerate(sorted(every, key=folder.natural_order))}
     return np.array([index[stem(name)] for name in names], dtype=np.float64)
 
@@ -162,15 +235,13 @@ def stem(name: str) -> str:
     return str(Path(name).with_suffix(""))
 
 
-def _missing(dataset: str, entry: DatasetEntry, images: Path, manifest: Manifest) -> str:
-    lines = [
-        f"{dataset}: no folder {images}",
-        f"  the data root is {manifest.data_root} (set ARTIFACT_DATA_ROOT to change it)",
-    ]
-    lines += [f"  from {source.url} {source.note}".rstrip() for source in entry.sources]
-    if entry.obtain:
-        lines.append(f"  {entry.obtain.strip()}")
-    return os.linesep.join(lines)
+def _missing(manifest: Manifest, dataset: str, entry: DatasetEntry, images: Path) -> str:
+    root = f"  the data root is {manifest.data_root} (set ARTIFACT_DATA_ROOT to change it)"
+    origins = [f"  from {source.url} {source.note}".rstrip() for source in entry.sources]
+    obtain = [f"  {entry.obtain.strip()}"] if entry.obtain else []
+    if entry.preparation:
+        obtain = [f"  make data DATASET={dataset} obtains and prepares it, or says which files to put where"]
+    return os.linesep.join([f"{dataset}: no folder {images}", root, *origins, *obtain])
 
 
 def _check_pair(name: str, entry: DatasetEntry, query: Traversal, database: Traversal) -> None:

@@ -13,7 +13,7 @@ from artifact.datasets.images import read_image
 from artifact.datasets.traversal import Traversal
 
 STATISTICS = ("brightness", "contrast", "saturation", "sharpness")
-"""Mean luminance, its standard deviation, mean saturation, mean absolute Laplacian of the luminance; all from 0 to 1."""
+"""Mean luminance, its standard deviation, mean saturation, mean absolute Laplacian of luminance; from 0 to 1."""
 
 REVISION = 2  # raise when a value changes
 _SIDE = 320  # images are measured at this length of their longer side, so that sizes do not matter
@@ -24,25 +24,19 @@ def appearance_key(traversal: Traversal) -> str:
     return store.key(stage="appearance", revision=REVISION, images=traversal.digest)
 
 
-def has_appearance(traversal: Traversal) -> bool:
-    """Whether the statistics of a traversal can be had: its images are here, or their statistics ship."""
-    return traversal.has_images or shipped.appearance(appearance_key(traversal)) is not None
+def has_appearance(traversal: Traversal, cache: Path) -> bool:
+    """Whether the statistics of a traversal can be had: its images are here, or the statistics are stored or ship."""
+    key = appearance_key(traversal)
+    return traversal.has_images or stored_path(cache, key).exists() or shipped.appearance(key) is not None
+
+
+def stored_path(cache: Path, key: str) -> Path:
+    """Return the file that holds, or would hold, the statistics of a key."""
+    return cache / "appearance" / f"{key[:24]}.npz"
 
 
 def appearance(traversal: Traversal, cache: Path) -> np.ndarray:
-    """Measure the statistics of every image, or read them if they are stored or shipped.
-
-    Parameters
-    ----------
-    traversal
-        The images.
-    cache
-        Folder of stored results.
-
-    Returns
-    -------
-    numpy.ndarray
-        ``(n, 4)`` float64, columns in the order of :data:`STATISTICS`.
+    """Measure :data:`STATISTICS` of every image, ``(n, 4)`` float64, or read them if they are in the cache or shipped.
 
     Raises
     ------
@@ -52,17 +46,14 @@ def appearance(traversal: Traversal, cache: Path) -> np.ndarray:
         If an image cannot be read.
     """
     key = appearance_key(traversal)
-    if not traversal.has_images:
-        found = shipped.appearance(key)
-        if found is not None:
-            return found
-    path = cache / "appearance" / f"{key[:24]}.npz"
+    path = stored_path(cache, key)
     with store.lock(path):
         arrays = store.load_arrays(path, key)
+        if arrays is None and not traversal.has_images and (found := shipped.appearance(key)) is not None:
+            return found
         if arrays is None:
             with ThreadPoolExecutor(2) as pool:
-                values = np.array(list(pool.map(measure, traversal.image_paths())))
-            arrays = {"values": values}
+                arrays = {"values": np.array(list(pool.map(measure, traversal.image_paths())))}
             store.save_arrays(path, arrays, {"key": key, "dataset": traversal.dataset, "traversal": traversal.name})
     return arrays["values"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,14 +10,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from artifact.datasets import folder
+from artifact.datasets.folder import natural_order
+from artifact.datasets.positions import in_metres, names_in_csv, positions_from_csv, positions_from_names, zone_of
 from artifact.datasets.traversal import DatasetError
 from artifact.manifest.entries import Threshold
-from artifact.manifest.layout import IMAGE_SUFFIXES
+from artifact.manifest.layout import files_below
 
-FORMATS = (".npy", ".npz", ".safetensors", ".h5", ".hdf5")
 _NAMED = ("descriptors", "global_descriptor", "features")
 _NAMES = ("names", "image_names", "images")
+_UNITS = {"frames": "frames", "frame": "frames", "metres": "metres", "m": "metres", "": "metres"}  # by ending
 
 
 class Descriptors(NamedTuple):
@@ -26,47 +28,40 @@ class Descriptors(NamedTuple):
     names: list[str] | None
 
 
-def read_threshold(text: str) -> Threshold:
-    """Return a threshold from ``25m``, ``25`` (metres), ``2frames`` or ``exact``.
+class Located(NamedTuple):
+    """Positions ``(n, p)`` in ``unit`` (``metres`` or ``frames``), and their UTM zone where it is known."""
 
-    Raises
-    ------
-    DatasetError
-        If the text is none of them.
+    positions: np.ndarray
+    unit: str
+    zone: str | None = None
+
+
+def read_threshold(text: str) -> Threshold:
+    """Return a threshold from ``25m``, ``25`` (metres), ``2frames`` or ``exact``; ``DatasetError`` for another text.
 
     Examples
     --------
     >>> [str(read_threshold(text)) for text in ("25m", "10", "2frames", "exact")]
     ['25 m', '10 m', '±2 frames', 'exact match']
     """
-    if text.strip().lower() == "exact":
+    given = text.strip().lower()
+    if given == "exact":
         return Threshold(value=0.0, unit="pairs")
-    for ending, unit in (
-        ("frames", "frames"),
-        ("frame", "frames"),
-        ("metres", "metres"),
-        ("m", "metres"),
-        ("", "metres"),
-    ):
-        if text.strip().lower().endswith(ending):
-            try:
-                value = float(text.strip()[: len(text.strip()) - len(ending)])
-            except ValueError:
-                continue
-            if 0 <= value < float("inf"):
-                return Threshold.model_validate({"value": value, "unit": unit})
+    for ending, unit in _UNITS.items():
+        if given.endswith(ending):
+            with contextlib.suppress(ValueError):
+                value = float(given.removesuffix(ending))
+                if 0 <= value < float("inf"):
+                    return Threshold.model_validate({"value": value, "unit": unit})
     raise DatasetError(f"the threshold is {text!r}; allowed: metres as 25m, frames as 2frames, or exact")
 
 
 def read_descriptors(path: Path) -> Descriptors:
     """Read descriptors from one file.
 
-    Parameters
-    ----------
-    path
-        ``.npy``: an array ``(n, d)``. ``.npz`` or ``.safetensors``: the array named ``descriptors``, or the only one of two
-        axes; ``.npz`` may hold image names in ``names``. ``.h5``: a group for each image with the array
-        ``global_descriptor``, as hloc writes it, in the order of the names.
+    ``.npy``: an array ``(n, d)``. ``.npz`` or ``.safetensors``: the array named ``descriptors``, or the only one of two
+    axes; ``.npz`` may hold image names in ``names``. ``.h5``: a group for each image with the array
+    ``global_descriptor``, as hloc writes it, in the order of the names.
 
     Raises
     ------
@@ -86,9 +81,8 @@ def read_descriptors(path: Path) -> Descriptors:
         raise DatasetError(f"{path}: cannot be read as {path.suffix} ({error})") from None
     values = found.values
     if values.ndim != 2 or values.dtype.kind != "f" or 0 in values.shape:
-        raise DatasetError(
-            f"{path}: found {values.dtype} of shape {values.shape}; descriptors are floats of shape (n, d)"
-        )
+        found_array = f"{values.dtype} of shape {values.shape}"
+        raise DatasetError(f"{path}: found {found_array}; descriptors are floats of shape (n, d)")
     if values.dtype not in (np.float16, np.float32):
         values = values.astype(np.float32)
     if found.names is not None and len(found.names) != len(values):
@@ -145,64 +139,69 @@ def _from_hdf5(path: Path) -> Descriptors:
     widths = sorted({len(values) for values in found.values()})
     if len(widths) > 1:
         raise DatasetError(f"{path}: descriptors have {widths[0]} and {widths[-1]} values; all must have as many")
-    names = sorted(found, key=folder.natural_order)
+    names = sorted(found, key=natural_order)
     return Descriptors(np.stack([found[name] for name in names]), names)
 
 
-_READERS = {
-    ".npy": _from_npy,
-    ".npz": _from_npz,
-    ".safetensors": _from_safetensors,
-    ".h5": _from_hdf5,
-    ".hdf5": _from_hdf5,
-}
+_READERS = {".npy": _from_npy, ".npz": _from_npz, ".safetensors": _from_safetensors}
+_READERS |= dict.fromkeys((".h5", ".hdf5"), _from_hdf5)
+FORMATS = tuple(_READERS)
 
 
-def read_positions(source: Path | None, found: Descriptors, label: str) -> tuple[np.ndarray, str]:
-    """Return the positions ``(n, p)`` of descriptors and their unit, ``metres`` or ``frames``.
+def read_positions(source: Path | None, found: Descriptors, label: str) -> Located:
+    """Return the positions of descriptors.
 
     Parameters
     ----------
     source
-        A ``.csv`` with a header (``image,x,y`` or ``image,index``), matched by image name where the descriptors carry names,
-        by row where they do not; a ``.npy`` of metres; a ``.txt`` with one ``@utm_east@utm_north@`` image name a line; a
-        folder of images with such names, sorted by name. ``None``: the names of the descriptors, else the frame order.
-    found
-        The descriptors.
-    label
-        What they are, for messages.
+        A ``.csv`` with a header (``image,x,y`` or ``image,index``), matched by image name where the descriptors carry
+        names, by row where they do not; a ``.npy`` of metres; a ``.txt`` with one ``@utm_east@utm_north@`` image name a
+        line; a folder of images with such names, sorted by name. ``None``: the descriptors' names, or frame order.
 
     Raises
     ------
     DatasetError
-        If the source cannot be read or does not fit the descriptors.
+        If the source cannot be read or does not fit the descriptors, which ``label`` names.
     """
     n = len(found.values)
     if source is None:
         if found.names and all("@" in name for name in found.names):
-            return folder.positions_from_names(Path(label), found.names), "metres"
-        return np.arange(n, dtype=np.float64)[:, None], "frames"
+            return _from_names(Path(label), found.names)
+        return Located(np.arange(n, dtype=np.float64)[:, None], "frames")
     source = source.expanduser()
     if not source.exists():
         raise DatasetError(f"{source}: no such file; it should hold the positions of the {label}")
     if source.suffix.lower() == ".csv":
-        names = folder.names_in_csv(source)
+        names = names_in_csv(source)
         if found.names is None:
             _as_many(source, len(names), n, label)
-        return folder.positions_from_csv(source, found.names or names)
+        return Located(*positions_from_csv(source, found.names or names))
     if source.suffix.lower() == ".npy":
-        positions = np.load(source, allow_pickle=False)
-        _as_many(source, len(positions), n, label)
-        return np.asarray(positions, np.float64).reshape(n, -1), "metres"
+        return Located(_from_array(source, n, label), "metres")
     if source.is_dir():
-        images = (path for path in source.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES)
-        names = sorted(path.relative_to(source).as_posix() for path in images)
+        names = sorted(files_below(source)[0])
     elif source.suffix.lower() == ".txt":
         names = [line.strip() for line in source.read_text(encoding="utf-8").splitlines() if line.strip()]
     else:
         raise DatasetError(f"{source}: positions are read from .csv, .npy, .txt or a folder of images")
     _as_many(source, len(names), n, label)
-    return folder.positions_from_names(source, names), "metres"
+    return _from_names(source, names)
+
+
+def _from_names(where: Path, names: list[str]) -> Located:
+    return Located(positions_from_names(where, names), "metres", zone_of(where, names))
+
+
+def _from_array(source: Path, n: int, label: str) -> np.ndarray:
+    try:
+        array = np.load(source, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise DatasetError(f"{source}: cannot be read as a NumPy array ({error})") from None
+    if array.ndim not in (1, 2) or array.dtype.kind not in "iuf":
+        found = f"{array.dtype} of shape {array.shape}"
+        raise DatasetError(f"{source}: found {found}; positions are numbers of shape (n, p)")
+    _as_many(source, len(array), n, label)
+    return in_metres(np.asarray(array, np.float64).reshape(n, -1), source, range(n))
 
 
 def _as_many(source: Path, found: int, needed: int, label: str) -> None:

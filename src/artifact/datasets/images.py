@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import ExifTags, Image, ImageOps
 
 _RANGE_OF_12_BITS = 4096
+_ON_THEIR_SIDE = (5, 6, 7, 8)  # EXIF orientations
 _SMALLEST_MOSAIC = 64  # pixels; smaller pictures are no camera's
 _MOSAIC = 0.05  # of the mean brightness, between the four places of the pattern
 
@@ -20,30 +21,32 @@ class UnreadableImageError(OSError):
 def read_image(path: Path, colour: str = "rgb") -> Image.Image:
     """Decode an image file wholly, upright and in 8 bits.
 
-    A photograph that its camera marked as rotated (EXIF) is turned upright. What is transparent lies on white. 16-bit values
-    are divided by 257.
-
-    Parameters
-    ----------
-    path
-        Any format that Pillow reads.
-    colour
-        ``"rgb"`` or ``"grey"`` (ITU-R 601 luma).
+    ``path`` is in any format that Pillow reads, ``colour`` is ``"rgb"`` or ``"grey"`` (ITU-R 601 luma). A photograph
+    that its camera marked as rotated (EXIF) is turned upright. What is transparent lies on white. 16-bit values are
+    divided by 257.
 
     Raises
     ------
     UnreadableImageError
-        If the file is missing, not an image, truncated or otherwise damaged; or if its values have no defined range (32-bit,
-        float, 12 bits in 16), or are a raw colour mosaic.
+        If the file is missing, not an image, truncated or otherwise damaged; or if its values have no defined range
+        (32-bit, float, 12 bits in 16), or are a raw colour mosaic.
     """
     try:
         with Image.open(path) as image:
+            _require_range(path, image)
             upright = ImageOps.exif_transpose(image)
             return _in_8_bits(path, upright).convert("RGB" if colour == "rgb" else "L")
     except UnreadableImageError:
         raise
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise UnreadableImageError(f"{path}: {error}") from None
+
+
+def _require_range(path: Path, image: Image.Image) -> None:
+    """Colour of 16 bits, which Pillow cuts to the upper 8, must use them."""
+    deep = any(";16" in str(tile.args) for tile in image.tile) and image.mode.startswith("RGB")
+    if deep and max(high for _, high in image.getextrema()) < _RANGE_OF_12_BITS // 256:
+        raise UnreadableImageError(f"{path}: 16-bit colours as of a 12-bit camera; scale them to 8 or 16 bits first")
 
 
 def _in_8_bits(path: Path, image: Image.Image) -> Image.Image:
@@ -54,14 +57,12 @@ def _in_8_bits(path: Path, image: Image.Image) -> Image.Image:
     if image.mode.startswith("I;16"):
         values = np.asarray(image).astype(np.uint16)  # in this machine's byte order
         if values.max() < _RANGE_OF_12_BITS:
-            raise UnreadableImageError(
-                f"{path}: 16-bit values up to {values.max()}, as of a 12-bit camera; scale them to 8 or 16 bits first"
-            )
+            found = f"16-bit values up to {values.max()}, as of a 12-bit camera"
+            raise UnreadableImageError(f"{path}: {found}; scale them to 8 or 16 bits first")
         return Image.fromarray((values / 257).round().astype(np.uint8))
     if image.mode in ("I", "F"):
-        raise UnreadableImageError(
-            f"{path}: values of mode {image.mode!r} have no defined range; convert to 8 or 16 bits"
-        )
+        found = f"values of mode {image.mode!r} have no defined range"
+        raise UnreadableImageError(f"{path}: {found}; convert to 8 or 16 bits")
     if image.mode == "L" and _is_mosaic(np.asarray(image)):
         raise UnreadableImageError(f"{path}: looks like a raw colour mosaic (Bayer pattern); demosaic it first")
     return image
@@ -77,19 +78,17 @@ def _is_mosaic(values: np.ndarray) -> bool:
 
 
 def modes_and_sizes(paths: Sequence[Path]) -> tuple[list[str], list[tuple[int, int]]]:
-    """Return Pillow's mode and the size (width, height) of image files, from their headers alone.
+    """Return Pillow's mode and the upright size (width, height) of image files, from their headers alone.
 
-    Raises
-    ------
-    UnreadableImageError
-        If a file is not an image.
+    Raises :class:`UnreadableImageError` if a file is not an image.
     """
     modes, sizes = [], []
     for path in paths:
         try:
             with Image.open(path) as image:
                 modes.append(image.mode)
-                sizes.append(image.size)
+                turned = image.getexif().get(ExifTags.Base.Orientation) in _ON_THEIR_SIDE
+                sizes.append(image.size[::-1] if turned else image.size)
         except (OSError, ValueError, SyntaxError) as error:
             raise UnreadableImageError(f"{path}: {error}") from None
     return modes, sizes

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
+
+
+def as_columns(positions: npt.ArrayLike) -> np.ndarray:
+    """Return positions ``(n, p)`` as float64; those of one axis, ``(n,)``, become a column."""
+    columns = np.asarray(positions, np.float64)
+    return columns[:, None] if columns.ndim == 1 else columns
 
 
 def positives_of(
     query_positions: np.ndarray, database_positions: np.ndarray, threshold: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """List the database images within a threshold (inclusive) of each query.
+    """List the database images within a threshold (inclusive) of each query, as ``starts`` and ``positives``, int64.
 
-    Returns
-    -------
-    starts
-        ``(n_queries + 1,)`` int64.
-    positives
-        The positives of query ``i`` are ``positives[starts[i]:starts[i + 1]]``, ascending database indices.
+    Those of query ``i`` are ``positives[starts[i]:starts[i + 1]]``, ascending database indices.
 
     Examples
     --------
@@ -25,8 +29,8 @@ def positives_of(
     ([0, 2, 2], [0, 1])
     """
     near = cKDTree(database_positions).query_ball_point(query_positions, threshold * (1 + 1e-9), return_sorted=True)
-    lengths = np.fromiter((len(found) for found in near), np.int64, len(near))
-    indices = np.fromiter((index for found in near for index in found), np.int64, int(lengths.sum()))
+    lengths = np.fromiter(map(len, near), np.int64, len(near))
+    indices = np.fromiter(chain.from_iterable(near), np.int64, int(lengths.sum()))
     owners = np.repeat(np.arange(len(near)), lengths)
     # The tree compares squared distances with a little slack; the definition decides.
     inside = np.linalg.norm(query_positions[owners] - database_positions[indices], axis=1) <= threshold

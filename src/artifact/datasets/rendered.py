@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -13,32 +14,27 @@ from artifact.datasets.traversal import DatasetError
 
 
 def render(description: dict[str, Any], cache: Path, label: str) -> None:
-    """Render a traversal if its images and positions are not there, with a progress bar.
+    """Render a traversal if its images and positions are not in the cache, with a progress bar.
 
-    Parameters
-    ----------
-    description
-        The key ``render`` of the manifest: the fields of :class:`artifact_city.CityTraversal`.
-    cache
-        Folder of stored results.
-    label
-        Name for messages and the progress bar.
-
-    Raises
-    ------
-    DatasetError
-        If the description has unknown or impossible values.
+    ``description`` is the key ``render`` of the manifest: the fields of :class:`artifact_city.CityTraversal`; ``label``
+    is for messages. Raises ``DatasetError`` if it has unknown or impossible values.
     """
     import artifact_city
 
     traversal, folder = _described(description, label), rendered_folder(description, cache, label)
     with store.lock(folder):
-        if not folder.is_dir():
+        if store.find(folder, cache=cache) is None:
+            unfinished = folder.with_suffix(".unfinished")
+            shutil.rmtree(unfinished, ignore_errors=True)
             with tqdm(total=traversal.frames, unit="image", desc=f"render {label}", disable=None, leave=False) as bar:
                 try:
-                    artifact_city.render(traversal, folder, progress=lambda done: bar.update(done - bar.n))
+                    with store.stage("render"), store.writing(folder):
+                        artifact_city.render(traversal, unfinished, progress=lambda done: bar.update(done - bar.n))
                 except ValueError as error:
                     raise DatasetError(f"{label}: {error}") from None
+            store.seal(unfinished, {"dataset": label.partition("/")[0], "traversal": label.partition("/")[2]})
+            shutil.rmtree(folder, ignore_errors=True)  # one without a record
+            unfinished.replace(folder)
 
 
 def rendered_folder(description: dict[str, Any], cache: Path, label: str) -> Path:

@@ -7,11 +7,14 @@ that key equals the key that the code at hand would use, so an outdated file is 
 
 from __future__ import annotations
 
-import json
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from artifact import store
 
 
 def folder() -> Path:
@@ -25,19 +28,31 @@ def traversal(dataset: str, name: str) -> tuple[list[str], str] | None:
     path = folder() / dataset / "traversals.json"
     if Path(dataset).is_absolute() or not path.is_file():
         return None
-    record = json.loads(path.read_text(encoding="utf-8")).get(name)
-    return (record["image_names"], record["digest"]) if record else None
+    listed = _whole(store.read_json, path).get(name)
+    return (listed["image_names"], listed["digest"]) if listed else None
 
 
 def path_of(key: str) -> Path | None:
-    """Return the shipped ``.npy`` file of descriptors or image statistics made under ``key``, or ``None`` if there is none."""
+    """Return the shipped ``.npy`` file of descriptors or image statistics made under ``key``, if there is one."""
     for path in sorted(folder().glob("*/[!.]*.npy")):  # a hidden file is one being written
-        if json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))["key"] == key:
+        if _whole(store.read_json, path.with_suffix(".json"))["key"] == key:
             return path
     return None
+
+
+def record(path: Path) -> dict[str, Any]:
+    """Return the record of a shipped file, or raise ``StoreError`` if the file is damaged."""
+    return _whole(store.check, path)
+
+
+def _whole(read: Callable[[Path], Any], path: Path) -> Any:
+    try:
+        return read(path)
+    except store.DamagedError as error:
+        raise store.StoreError(f"{error}; it came with the package: install it again, or `git checkout` it") from None
 
 
 def appearance(key: str) -> np.ndarray | None:
     """Return the shipped image statistics that were made under ``key``, or ``None`` if there are none."""
     path = path_of(key)
-    return None if path is None else np.load(path, allow_pickle=False)
+    return None if path is None or not record(path) else np.load(path, allow_pickle=False)

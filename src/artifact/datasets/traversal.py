@@ -5,11 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from artifact.datasets.positives import positives_of
 from artifact.manifest.entries import PaperCounts
+
+CHANGED = (
+    "its content is not what its digest says, though it was not written since, as on a damaged disk; restore it, or take "
+    "it as it is: run again with --check-images"
+)
 
 
 class DatasetError(ValueError):
@@ -18,41 +24,37 @@ class DatasetError(ValueError):
 
 @dataclass(frozen=True)
 class Given:
-    """A file of descriptors, local features or codes that came with a dataset.
+    """A ``.npy`` file of descriptors, local features or codes that came with a dataset, and the digest of its bytes.
 
-    Attributes
-    ----------
-    path
-        The ``.npy`` file.
-    sha256
-        Digest of its bytes.
+    Of a results bundle there is no file: ``path`` is ``None``, and ``record`` says what the descriptors were made from. For
+    local features and codes ``sha256`` then is their content key.
     """
 
-    path: Path
+    path: Path | None
     sha256: str
+    record: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True)
 class Traversal:
-    """One pass through the places of a dataset.
+    """One pass through the places of a dataset, under one condition, for example ``night``.
 
     Attributes
     ----------
-    dataset, name
-        Names in the manifest.
-    condition
-        Condition under which the images were taken, for example ``night``.
     image_names
         File name of each image, relative to ``folder``, in the order of ``positions``.
     positions
         ``(n, p)`` float64: metres, or one column of frame indices or pair indices.
     digest
-        Content key of image names, image bytes and order. Positions are not in it: the descriptors of a
-        traversal do not depend on them.
+        Content key of image names, image bytes and order; descriptors do not depend on positions.
     folder
         Folder of the images; ``None`` if only stored descriptors are at hand.
     descriptors, second_stage
-        Files that came with the dataset, by method.
+        Files that came with the dataset, or records of a results bundle, by method.
+    image_digests
+        SHA-256 of each image, as far as they were read.
+    preparation
+        What the sidecar of a traversal that was prepared from published files records, else empty.
     """
 
     dataset: str
@@ -64,6 +66,8 @@ class Traversal:
     folder: Path | None = None
     descriptors: Mapping[str, Given] = field(default_factory=dict, repr=False)
     second_stage: Mapping[str, Given] = field(default_factory=dict, repr=False)
+    image_digests: tuple[str, ...] = field(default=(), repr=False)
+    preparation: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         return len(self.image_names)
@@ -74,24 +78,16 @@ class Traversal:
         return self.folder is not None
 
     def image_paths(self) -> list[Path]:
-        """Return the image files in order.
-
-        Raises
-        ------
-        DatasetError
-            If only stored descriptors are at hand.
-        """
+        """Return the image files in order, or raise ``DatasetError`` if only stored descriptors are at hand."""
         if self.folder is None:
-            raise DatasetError(
-                f"{self.dataset}/{self.name}: the images are not on this machine; set ARTIFACT_DATA_ROOT to the "
-                f"folder that holds them"
-            )
+            remedy = "set ARTIFACT_DATA_ROOT to the folder that holds them"
+            raise DatasetError(f"{self.dataset}/{self.name}: the images are not on this machine; {remedy}")
         return [self.folder / name for name in self.image_names]
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """Query and database traversals with the threshold between them, ready to evaluate.
+    """Query and database among traversals by name, with the threshold between them, ready to evaluate.
 
     Attributes
     ----------
@@ -99,10 +95,6 @@ class Dataset:
         From the manifest, for example ``robotcar``, ``RobotCar``, ``day→night``.
     threshold, unit
         Positive threshold and its unit: ``metres``, ``frames`` or ``pairs``.
-    traversals
-        All traversals by name.
-    query_name, database_name
-        Which of them are the query and the database.
     real
         Whether the images are photographs; ``False`` for the rendered town and for made descriptors.
     paper
@@ -131,11 +123,14 @@ class Dataset:
             "database images": (len(self.database), self.paper.database),
             "evaluated queries": (int((np.diff(starts) > 0).sum()), self.paper.evaluated),
         }
-        return tuple(
+        differ = [
             f"{self.title}: {found:,} {what}, the paper lists {listed:,}"
             for what, (found, listed) in counts.items()
             if listed is not None and found != listed
-        )
+        ]
+        if differ and self.paper.choices:
+            differ[-1] += f"; these numbers depend on {self.paper.choices}"
+        return tuple(differ)
 
     @property
     def query(self) -> Traversal:

@@ -1,0 +1,179 @@
+"""The published files of a dataset: which are needed, whether they are here and unchanged, and how they come here.
+
+They lie in ``downloads/<dataset>`` below the data root, where a download or a person puts them. Nobody publishes their
+checksums, so the lock file ``NAME.lock.json`` beside each records size and SHA-256 when a traversal was first prepared
+from it; any later difference is an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from artifact import store
+from artifact.datasets import download
+from artifact.datasets.published import archives
+from artifact.datasets.traversal import DatasetError
+from artifact.manifest import Manifest
+from artifact.manifest.entries import DatasetEntry, PublishedFile
+
+
+class MissingFilesError(DatasetError):
+    """Published files that are not here; the message names them and says how to get them."""
+
+
+@dataclass(frozen=True)
+class Original:
+    """A published file, and where it lies or would lie."""
+
+    path: Path
+    entry: PublishedFile
+
+    @property
+    def size(self) -> str:
+        """Its size in words."""
+        if self.path.exists():
+            return in_words(self.path.stat().st_size / 1e6)
+        known = self.entry.size / 1e6 if self.entry.size else self.entry.megabytes
+        return in_words(known)
+
+
+def in_words(megabytes: float | None) -> str:
+    """Write a size for people.
+
+    Examples
+    --------
+    >>> in_words(11800), in_words(0.47), in_words(None)
+    ('11.8 GB', '0.5 MB', 'size unknown')
+    """
+    if megabytes is None:
+        return "size unknown"
+    return (
+        f"{megabytes / 1000:,.1f} GB"
+        if megabytes >= 1000
+        else f"{megabytes:.3g} MB"
+        if megabytes >= 1
+        else f"{megabytes:.1f} MB"
+    )
+
+
+def downloads(manifest: Manifest, dataset: str) -> Path:
+    """Return the folder that holds, or would hold, the published files of a dataset."""
+    return manifest.data_root / "downloads" / (manifest.dataset(dataset).root or dataset)
+
+
+def needed(
+    manifest: Manifest, dataset: str, traversals: Sequence[str], parameters: Mapping[str, Any]
+) -> list[Original]:
+    """Return the published files that traversals are prepared from with these parameters, each once."""
+    entry, folder = manifest.dataset(dataset), downloads(manifest, dataset)
+    found = {}
+    for traversal in traversals:
+        for name, file in _files(entry, traversal, parameters):
+            found.setdefault(name, Original(folder / name, file))
+    return list(found.values())
+
+
+def _files(entry: DatasetEntry, traversal: str, parameters: Mapping[str, Any]) -> list[tuple[str, PublishedFile]]:
+    assert entry.preparation is not None
+    return [
+        (file.file.format(traversal=traversal, part=part), file)
+        for file in entry.preparation.files
+        if traversal in (file.traversals or entry.traversals)
+        and all(parameters.get(name) in allowed for name, allowed in file.when.items())
+        for part in range(1, (file.parts or 1) + 1)
+    ]
+
+
+def fetch(files: Sequence[Original], label: str, *, progress: bool = True) -> None:
+    """Download the published files that are not here, going on from what has arrived.
+
+    Raises :class:`MissingFilesError` if some have no address, or none that gives a whole file; it says how to do it by hand.
+    """
+    missing = [file for file in files if not file.path.exists()]
+    faults = []
+    if by_hand := [file for file in missing if not file.entry.urls]:
+        names = ", ".join(_names(by_hand))
+        size = in_words(sum(file.entry.megabytes or 0 for file in by_hand) or None)
+        folder = by_hand[0].path.parent
+        faults.append(f"{label}: {len(by_hand)} of {len(files)} published files are not in {folder} ({size}): {names}")
+    for file in missing:
+        if file.entry.urls:
+            try:
+                _download(file, progress=progress)
+            except download.DownloadError as error:
+                faults.append(
+                    f"{label}: {file.path.name} could not be downloaded\n{error}\n  by hand: open {file.entry.urls[0]} in a "
+                    f"browser, save the file ({file.size}) as {file.path} and run the same command again"
+                )
+    if faults:
+        raise MissingFilesError("\n".join(faults))
+
+
+def _names(files: Sequence[Original]) -> Iterator[str]:
+    """Names of files; parts that follow each other as the first and the last."""
+    for _, group in groupby(files, key=lambda file: id(file.entry)):
+        same = list(group)
+        whole = len(same) > 2 and same[0].entry.parts == len(same)
+        yield from [f"{same[0].path.name} to {same[-1].path.name}"] if whole else (file.path.name for file in same)
+
+
+def _download(file: Original, *, progress: bool) -> None:
+    path, entry = file.path, file.entry
+
+    def accept(partial: Path) -> None:
+        try:
+            archives.require_archive(partial, path.suffix)
+        except DatasetError as error:
+            raise download.DownloadError(str(error)) from None
+
+    sha256 = entry.sha256 or (read_lock(path) or {}).get("sha256")
+    with store.lock(path):
+        download.retrieve(entry.urls, path, sha256=sha256, size=entry.size, accept=accept, progress=progress)
+
+
+def digest(original: Original, cache: Path | None) -> dict[str, Any]:
+    """Return name, size and SHA-256 of a published file that is here and unchanged.
+
+    Raises ``DatasetError`` if it is not what the manifest or its lock file says.
+    """
+    path, entry = original.path, original.entry
+    found = {"file": path.name, "size": path.stat().st_size, "sha256": store.digest_of_files([path], cache)[0]}
+    for key, expected in (("size", entry.size), ("sha256", entry.sha256)):
+        if expected not in (None, found[key]):
+            raise DatasetError(
+                f"{path}: its {key} is {found[key]}, that of the published file {expected}; delete it and get it again"
+            )
+    locked = read_lock(path)
+    if locked and locked["sha256"] != found["sha256"]:
+        raise DatasetError(
+            f"{path}: its SHA-256 is {found['sha256']}, but {locked['sha256']} was recorded on {locked['date']}; bring the "
+            f"earlier file back or, if the change is meant, delete {_lock_path(path).name}"
+        )
+    return found
+
+
+def write_lock(original: Original, found: Mapping[str, Any]) -> None:
+    """Record a published file that a traversal was prepared from, if it is not recorded yet."""
+    if not _lock_path(original.path).exists():
+        store.write_json(_lock_path(original.path), {**found, "date": f"{datetime.now(UTC):%Y-%m-%d}"})
+
+
+def read_lock(path: Path) -> dict[str, Any] | None:
+    """Return what the lock file of a published file records, ``None`` if there is none."""
+    lock = _lock_path(path)
+    if not lock.exists():
+        return None
+    try:
+        record = store.read_json(lock)
+        return {key: record[key] for key in ("size", "sha256", "date")}
+    except (store.StoreError, KeyError, TypeError):
+        raise DatasetError(f"{lock}: not a lock file; delete it, and {path.name} is recorded anew") from None
+
+
+def _lock_path(path: Path) -> Path:
+    return path.with_name(f"{path.name}.lock.json")
