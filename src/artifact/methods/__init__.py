@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,51 +24,37 @@ if TYPE_CHECKING:
     import torch
     from torch import nn
 
-# Where each model is built. Raise a revision when the descriptors of that model change: it is part of the
-# descriptors' content key. Modules are imported only when a model is built.
+# The class of each model, or the function that makes it with weights. Raise a revision when the descriptors of that
+# model change: it is part of the descriptors' content key. Modules are imported only when a model is built.
 _BUILDERS: dict[str, tuple[str, int]] = {
     "thumbnail": ("artifact.methods.thumbnail:Thumbnail", 1),
     "hog": ("artifact.methods.hog:HOG", 1),
-    "efficientnet_lite0": ("artifact.methods.efficientnet_lite:efficientnet_lite0", 1),
-    "anyloc": ("artifact.methods.anyloc:anyloc", 1),
-    "boq": ("artifact.methods.boq:boq", 1),
-    "cosplace": ("artifact.methods.cosplace:cosplace", 1),
-    "cricavpr": ("artifact.methods.cricavpr:cricavpr", 1),
-    "eigenplaces": ("artifact.methods.cosplace:eigenplaces", 1),
-    "megaloc": ("artifact.methods.megaloc:megaloc", 1),
-    "mixvpr": ("artifact.methods.mixvpr:mixvpr", 1),
-    "salad": ("artifact.methods.salad:salad", 1),
-    "salad_cm": ("artifact.methods.salad:salad_cm", 1),
-    "selavpr": ("artifact.methods.selavpr:selavpr", 1),
-    "selavprpp": ("artifact.methods.selavprpp:selavprpp", 1),
+    "efficientnet_lite0": ("artifact.methods.efficientnet_lite:efficientnet_lite0", 2),
+    "efficientnet_lite0_vlad": ("artifact.methods.efficientnet_lite:vlad", 1),
+    "efficientnet_lite0_grid": ("artifact.methods.efficientnet_lite:grid", 1),
+    "anyloc": ("artifact.methods.anyloc:AnyLoc", 1),
+    "boq": ("artifact.methods.boq:BoQ", 1),
+    "cosplace": ("artifact.methods.cosplace:CosPlace", 1),
+    "cricavpr": ("artifact.methods.cricavpr:CricaVPR", 1),
+    "eigenplaces": ("artifact.methods.cosplace:EigenPlaces", 1),
+    "megaloc": ("artifact.methods.megaloc:MegaLoc", 1),
+    "mixvpr": ("artifact.methods.mixvpr:MixVPR", 1),
+    "salad": ("artifact.methods.salad:SALAD", 1),
+    "salad_cm": ("artifact.methods.salad:SALAD", 1),
+    "selavpr": ("artifact.methods.selavpr:SelaVPR", 1),
+    "selavprpp": ("artifact.methods.selavprpp:SelaVPRPlusPlus", 1),
 }
 
 
 def names() -> list[str]:
-    """Return the names that :func:`build` knows.
-
-    Examples
-    --------
-    >>> "hog" in names()
-    True
-    """
+    """Return the names that :func:`build` knows."""
     return list(_BUILDERS)
 
 
 def build(name: str, **options: Any) -> nn.Module:
-    """Build a model by name, in eval mode.
+    """Build one of :func:`names` in eval mode, untrained but for baselines; raise ``KeyError`` for another name.
 
-    Parameters
-    ----------
-    name
-        One of :func:`names`.
-    **options
-        Passed on to the builder.
-
-    Raises
-    ------
-    KeyError
-        If the name is unknown; the message lists those that exist.
+    ``options`` go to the model's constructor; ``seed`` is that of untrained weights.
 
     Examples
     --------
@@ -77,18 +63,14 @@ def build(name: str, **options: Any) -> nn.Module:
     """
     if name not in _BUILDERS:
         raise KeyError(f"no method {name!r}; the methods are {', '.join(_BUILDERS)}")
-    return _function(_BUILDERS[name][0])(**options).eval()
+    from artifact.methods.blocks.untrained import untrained
+
+    model = _function(_BUILDERS[name][0])
+    return untrained(model, **options) if isinstance(model, type) else model(**options).eval()
 
 
 def load(name: str, manifest: Manifest | None = None) -> nn.Module:
-    """Return a method of the manifest with its released weights, verified, in eval mode.
-
-    Parameters
-    ----------
-    name
-        A method of the manifest.
-    manifest
-        Default: the nearest ``data_manifest.yaml``.
+    """Return a method of the manifest, by default the nearest, with its released weights, verified, in eval mode.
 
     Raises
     ------
@@ -115,7 +97,7 @@ def model_of(name: str, entry: MethodEntry) -> nn.Module:
     ManifestError
         If the entry names no builder and the library has no such model, or the builder cannot be imported.
     WeightsError
-        If the weights are missing (the message says how to get them), have changed, or do not fit the model.
+        As of :func:`load`.
     """
     if entry.weights is None:
         if weights.is_required(entry):
@@ -135,14 +117,37 @@ def model_of(name: str, entry: MethodEntry) -> nn.Module:
         raise WeightsError(f"{name}: {', '.join(map(str, paths))} {error}") from None
 
 
-def fetch(name: str, entry: MethodEntry, *, progress: bool = True) -> None:
-    """Download and examine what is missing of a method's weights; see :func:`artifact.methods.weights.fetch`.
+def of_trunk(manifest: Manifest, name: str) -> dict[str, MethodEntry]:
+    """Return the methods of a manifest that one pass describes images by: those of the same trunk, or one alone."""
+    entry = manifest.method(name)
+    if entry.trunk is None:
+        return {name: entry}
+    return {other: one for other, one in manifest.methods.items() if one.trunk == entry.trunk}
 
-    Raises
-    ------
-    WeightsError
-        If a file cannot be had or is not the method's; the message says what to do by hand.
+
+def shared(entries: Mapping[str, MethodEntry]) -> nn.Module:
+    """Return the model of methods of one trunk: from images to a tuple with the descriptors of each, in their order.
+
+    Their models have ``maps(images)``, the same for all of them, and ``head(maps)``.
     """
+    from torch import nn
+
+    class Shared(nn.Module):
+        """Several heads on one trunk."""
+
+        def __init__(self, models: Iterable[nn.Module]) -> None:
+            super().__init__()
+            self.models = nn.ModuleList(models)
+
+        def forward(self, images: torch.Tensor) -> tuple[torch.Tensor, ...]:
+            maps = self.models[0].maps(images)
+            return tuple(model.head(maps) for model in self.models)
+
+    return Shared(model_of(name, entry) for name, entry in entries.items()).eval()
+
+
+def fetch(name: str, entry: MethodEntry, *, progress: bool = True) -> None:
+    """Download and examine what is missing of a method's weights; see :func:`artifact.methods.weights.fetch`."""
     if entry.weights is not None:
         weights.fetch(name, entry.weights, _check(name, entry), progress=progress)
     elif weights.is_required(entry):
@@ -150,14 +155,17 @@ def fetch(name: str, entry: MethodEntry, *, progress: bool = True) -> None:
 
 
 def _check(name: str, entry: MethodEntry) -> weights.Check:
-    """Return the question whether a file of weights fits the part of the model that it is for."""
+    """Ask whether a file of weights fits its part of the model: the tensor it names, or all that no other names."""
 
     def digest(file: WeightsFile, found: Path) -> str:
         from artifact.methods.weights import checkpoints
 
+        others = {other.tensor for other in entry.weights.files if other.tensor} if entry.weights else set()
         try:
             state = checkpoints.read(found, container=file.container, tensor=file.tensor)
-            faults = checkpoints.faults(state, _part(file, entry, _empty(name, entry).state_dict()))
+            model = _empty(name, entry).state_dict()
+            part = {file.tensor} if file.tensor else model.keys() - others
+            faults = checkpoints.faults(state, {key: value for key, value in model.items() if key in part})
         except checkpoints.CheckpointError as error:
             raise WeightsError(f"{file.file} {error}") from None
         if faults:
@@ -165,13 +173,6 @@ def _check(name: str, entry: MethodEntry) -> weights.Check:
         return checkpoints.digest(state)
 
     return digest
-
-
-def _part(file: WeightsFile, entry: MethodEntry, model: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Return the tensors of the model that one file is for: the one it names, or all that no other file names."""
-    files = entry.weights.files if entry.weights else []
-    elsewhere = {other.tensor for other in files if other.tensor is not None}
-    return {key: value for key, value in model.items() if (key == file.tensor if file.tensor else key not in elsewhere)}
 
 
 def _empty(name: str, entry: MethodEntry) -> nn.Module:

@@ -6,8 +6,6 @@ to them. A linear map over all 128 answers gives the descriptor.
 
 from __future__ import annotations
 
-from functools import partial
-
 import torch
 from torch import nn
 from torch.nn import functional
@@ -15,7 +13,6 @@ from torch.nn import functional
 from artifact.methods.blocks.attention import EncoderLayer, MultiHeadAttention
 from artifact.methods.blocks.dinov2 import feature_map, vit_base
 from artifact.methods.blocks.inputs import PATCH, check_images
-from artifact.methods.blocks.untrained import untrained
 
 _WIDTH = 384
 _HEADS = 6
@@ -74,6 +71,3 @@ class BoQ(nn.Module):
         height, width = check_images(images, self, multiple=PATCH)
         tokens = self.backbone["dino"].encode(images)
         return self.aggregator(feature_map(tokens, height, width))
-
-
-boq = partial(untrained, BoQ)

@@ -6,15 +6,12 @@ projected; they differ in their training. The authors run them at the images' ow
 
 from __future__ import annotations
 
-from functools import partial
-
 import torch
 from torch import nn
 
 from artifact.methods.blocks.inputs import check_images
 from artifact.methods.blocks.pooling import L2Norm, unit_gem
 from artifact.methods.blocks.resnet import RESNET50, RESNET101, resnet_stages
-from artifact.methods.blocks.untrained import untrained
 
 
 class _PooledResNet(nn.Module):
@@ -43,7 +40,3 @@ class EigenPlaces(_PooledResNet):
     """EigenPlaces with ResNet-50 and 2048 dimensions."""
 
     depths, dimension = RESNET50, 2048
-
-
-cosplace = partial(untrained, CosPlace)
-eigenplaces = partial(untrained, EigenPlaces)

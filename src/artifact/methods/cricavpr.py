@@ -6,8 +6,7 @@ images in the order of their file names; evaluate it that way.
 
 from __future__ import annotations
 
-from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 
 import torch
 from torch import nn
@@ -18,7 +17,6 @@ from artifact.methods.blocks.attention import EncoderLayer
 from artifact.methods.blocks.dinov2 import Block, FeedForward, feature_map, vit_base
 from artifact.methods.blocks.inputs import PATCH, check_images
 from artifact.methods.blocks.pooling import unit_gem
-from artifact.methods.blocks.untrained import untrained
 
 _SIDE = 224  # pixels: the regions are fixed on a grid of 16 × 16 patches
 _GRID = (_SIDE // PATCH, _SIDE // PATCH)
@@ -42,9 +40,8 @@ class CricaVPR(nn.Module):
         super().__init__()
         self.backbone = vit_base(block=_AdaptedBlock)
         self.aggregation = unit_gem()
-        self.encoder = nn.ModuleDict(
-            {"layers": nn.ModuleList(EncoderLayer(768, 16, 2048, functional.gelu) for _ in range(2))}
-        )
+        layers = nn.ModuleList(EncoderLayer(768, 16, 2048, functional.gelu) for _ in range(2))
+        self.encoder = nn.ModuleDict({"layers": layers})
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Describe one batch of images (b, 3, 224, 224), jointly: unit vectors (b, 10752), float32."""
@@ -54,15 +51,9 @@ class CricaVPR(nn.Module):
         regions = [tokens[:, 0]]
         for edges in _EDGES:
             bands = list(pairwise(edges))
-            regions += [
-                self.aggregation(features[:, :, top:bottom, left:right])
-                for top, bottom in bands
-                for left, right in bands
-            ]
+            for (top, bottom), (left, right) in product(bands, bands):
+                regions.append(self.aggregation(features[:, :, top:bottom, left:right]))
         x = torch.stack(regions)  # (14, b, 768): attention runs over the batch, for each region by itself
         for layer in self.encoder["layers"]:
             x = layer(x)
         return functional.normalize(x.transpose(0, 1).flatten(1), dim=1)
-
-
-cricavpr = partial(untrained, CricaVPR)

@@ -14,9 +14,9 @@ _CLIP = 0.2
 class HOG(nn.Module):
     """Histograms of unsigned gradient orientation in cells, normalised in overlapping blocks of 2 by 2 cells.
 
-    Images ``(b, 1, h, w)`` to descriptors ``(b, (h / cell - 1) * (w / cell - 1) * 4 * orientations)``, float32. Each pixel's
-    gradient magnitude is shared between the two nearest of ``orientations`` bins over 180 degrees; blocks of cells of ``cell``
-    pixels are normalised by the L2-Hys rule (unit length, clip at 0.2, unit length).
+    Images ``(b, 1, h, w)`` to descriptors ``(b, (h / cell - 1) * (w / cell - 1) * 4 * orientations)``, float32. Each
+    pixel's gradient magnitude is shared between the two nearest of ``orientations`` bins over 180 degrees; blocks of
+    cells of ``cell`` pixels are normalised by the L2-Hys rule (unit length, clip at 0.2, unit length).
     """
 
     def __init__(self, cell: int = 16, orientations: int = 9) -> None:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import torch
 from torch import nn
 from torch.nn import functional
 
 from artifact.methods.blocks.dinov2 import feature_map, vit_base
 from artifact.methods.blocks.inputs import PATCH, check_images
-from artifact.methods.blocks.untrained import untrained
 from artifact.methods.salad import CLUSTERS, OptimalTransportAggregator
 
 _DIMENSION = 8448
@@ -55,6 +52,3 @@ class MegaLoc(nn.Module):
         tokens = self.backbone(images)
         features = feature_map(tokens, *images.shape[-2:])
         return functional.normalize(self.aggregator(features, tokens[:, 0]), dim=1)
-
-
-megaloc = partial(untrained, MegaLoc)

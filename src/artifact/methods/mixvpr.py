@@ -7,15 +7,12 @@ channels and over positions.
 
 from __future__ import annotations
 
-from functools import partial
-
 import torch
 from torch import nn
 from torch.nn import functional
 
 from artifact.methods.blocks.inputs import check_images
 from artifact.methods.blocks.resnet import RESNET50, resnet_stages
-from artifact.methods.blocks.untrained import untrained
 
 _SIDE = 320  # pixels: the perceptrons are trained for (320 / 16)² = 400 positions
 _POSITIONS = 400
@@ -26,12 +23,8 @@ _ROWS = 4
 class _FeatureMixer(nn.Module):
     def __init__(self) -> None:
         super().__init__()
-        self.mix = nn.Sequential(
-            nn.LayerNorm(_POSITIONS),
-            nn.Linear(_POSITIONS, _POSITIONS),
-            nn.ReLU(),
-            nn.Linear(_POSITIONS, _POSITIONS),
-        )
+        first, second = nn.Linear(_POSITIONS, _POSITIONS), nn.Linear(_POSITIONS, _POSITIONS)
+        self.mix = nn.Sequential(nn.LayerNorm(_POSITIONS), first, nn.ReLU(), second)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return x + self.mix(x)
@@ -63,6 +56,3 @@ class MixVPR(nn.Module):
         """Describe images (b, 3, 320, 320): unit vectors (b, 4096), float32."""
         check_images(images, self, exact=_SIDE)
         return self.aggregator(self.backbone["model"](images))
-
-
-mixvpr = partial(untrained, MixVPR)

@@ -14,9 +14,9 @@ import pandas as pd
 def recorded() -> pd.DataFrame:
     """Return one row per method and output.
 
-    Columns are ``method``, ``output``, ``images``, ``compared`` (number of values), ``max_abs`` (largest difference of a value),
-    ``max_l2`` (largest length of the difference of one image's output), the limits of both in the tests (empty: none),
-    ``torch``, ``machine``.
+    Columns are ``method``, ``output``, ``images``, ``compared`` (number of values), ``max_abs`` (largest difference of
+    a value), ``max_l2`` (largest length of the difference of one image's output), the tests' limits, ``torch``,
+    ``machine``.
     """
     with (files("artifact.methods") / "parity.csv").open(encoding="utf-8") as stream:
         return pd.read_csv(stream)

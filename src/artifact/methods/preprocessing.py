@@ -22,7 +22,9 @@ def prepare(image: Image.Image, preprocessing: Preprocessing) -> torch.Tensor:
     if preprocessing.library == "tensor" and tuple(tensor.shape[-2:]) != size:
         how = {"mode": preprocessing.interpolation, "align_corners": False, "antialias": preprocessing.antialias}
         tensor = functional.interpolate(tensor[None], size=size, **how)[0]
-    tensor = _centre_crop(tensor, preprocessing.crop_to_multiple_of)
+    height, width = (size - size % preprocessing.crop_to_multiple_of for size in tensor.shape[-2:])
+    top, left = (tensor.shape[-2] - height) // 2, (tensor.shape[-1] - width) // 2
+    tensor = tensor[:, top : top + height, left : left + width]
     mean, std = (torch.tensor(v, dtype=torch.float32).view(-1, 1, 1) for v in (preprocessing.mean, preprocessing.std))
     return tensor.sub_(mean).div_(std).contiguous()
 
@@ -44,9 +46,3 @@ def target_size(height: int, width: int, preprocessing: Preprocessing) -> tuple[
         scale = longest / max(height, width)
         return round(height * scale), round(width * scale)
     return height, width
-
-
-def _centre_crop(tensor: torch.Tensor, multiple: int) -> torch.Tensor:
-    height, width = (size - size % multiple for size in tensor.shape[-2:])
-    top, left = (tensor.shape[-2] - height) // 2, (tensor.shape[-1] - width) // 2
-    return tensor[:, top : top + height, left : left + width]

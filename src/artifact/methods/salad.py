@@ -8,7 +8,6 @@ token are the descriptor.
 from __future__ import annotations
 
 import math
-from functools import partial
 
 import torch
 from torch import nn
@@ -16,7 +15,6 @@ from torch.nn import functional
 
 from artifact.methods.blocks.dinov2 import feature_map, vit_base
 from artifact.methods.blocks.inputs import PATCH, check_images
-from artifact.methods.blocks.untrained import untrained
 
 CLUSTERS = 64
 _HIDDEN = 512
@@ -27,9 +25,9 @@ _ITERATIONS = 3
 def assign_by_transport(scores: torch.Tensor, dustbin: torch.Tensor, iterations: int = _ITERATIONS) -> torch.Tensor:
     """Turn scores (b, m, n) of m clusters and n > m patches into shares of patches, with a dustbin (Sinkhorn).
 
-    The transport plan over the clusters and the dustbin is exp(scores), its rows scaled to sum to 1 per cluster and n − m for
-    the dustbin, then its columns to sum to 1 per patch, alternately. The columns come last, so their sums are exact. The
-    dustbin's score is one constant, which scaling its row absorbs at once: it has no influence on the result.
+    The transport plan over the clusters and the dustbin is exp(scores), its rows scaled to sum to 1 per cluster and n −
+    m for the dustbin, then its columns to sum to 1 per patch, alternately. The columns come last, so their sums are
+    exact. The dustbin's score is one constant, which scaling its row absorbs: it has no influence on the result.
 
     Examples
     --------
@@ -74,7 +72,7 @@ def _pointwise_perceptron(out: int) -> nn.Sequential:
 
 
 class SALAD(nn.Module):
-    """SALAD with DINOv2 ViT-B/14, 64 clusters of 128 and a token of 256: 8448 dimensions."""
+    """SALAD with DINOv2 ViT-B/14, 64 clusters of 128 and a token of 256: 8448 dimensions; SALAD-CM is the same."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -86,6 +84,3 @@ class SALAD(nn.Module):
         height, width = check_images(images, self, multiple=PATCH, more_patches_than=CLUSTERS)
         tokens = self.backbone["model"](images)
         return self.aggregator(feature_map(tokens, height, width), tokens[:, 0])
-
-
-salad = salad_cm = partial(untrained, SALAD)  # SALAD-CM has the same architecture; its weights are a file of their own

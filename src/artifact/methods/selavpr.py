@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from functools import partial
 
 import torch
 from torch import nn
@@ -13,7 +12,6 @@ from artifact.methods.blocks.adapters import bottleneck_adapter
 from artifact.methods.blocks.dinov2 import Block, FeedForward, feature_map, vit_large
 from artifact.methods.blocks.inputs import check_images
 from artifact.methods.blocks.pooling import unit_gem
-from artifact.methods.blocks.untrained import untrained
 
 _SIDE = 224  # pixels: the authors lay the patches out on 16 × 16 whatever the image
 _ADAPTER_SCALE = 0.2
@@ -33,13 +31,6 @@ class _AdaptedBlock(Block):
         return self.mlp(x) + _ADAPTER_SCALE * self.adapter2(x)
 
 
-def _local_adapter() -> nn.Sequential:
-    """Map features (b, 1024, 16, 16) to (b, 128, 61, 61)."""
-    first = nn.ConvTranspose2d(1024, 256, 3, stride=2, padding=1)
-    second = nn.ConvTranspose2d(256, 128, 3, stride=2, padding=1)
-    return nn.Sequential(OrderedDict(upconv1=first, relu=nn.ReLU(), upconv2=second))
-
-
 class SelaVPR(nn.Module):
     """SelaVPR with DINOv2 ViT-L/14: 1024 dimensions, and 61 × 61 local features of 128 dimensions."""
 
@@ -47,7 +38,9 @@ class SelaVPR(nn.Module):
         super().__init__()
         self.backbone = vit_large(block=_AdaptedBlock)
         self.aggregation = unit_gem()
-        self.LocalAdapt = _local_adapter()
+        first = nn.ConvTranspose2d(1024, 256, 3, stride=2, padding=1)
+        second = nn.ConvTranspose2d(256, 128, 3, stride=2, padding=1)  # from 16 × 16 patches to 61 × 61
+        self.LocalAdapt = nn.Sequential(OrderedDict(upconv1=first, relu=nn.ReLU(), upconv2=second))
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Describe images (b, 3, 224, 224): unit vectors (b, 1024), float32."""
@@ -65,6 +58,3 @@ class SelaVPR(nn.Module):
 
     def _describe(self, features: torch.Tensor) -> torch.Tensor:
         return functional.normalize(self.aggregation(features), dim=1)
-
-
-selavpr = partial(untrained, SelaVPR)

@@ -8,7 +8,6 @@ ranked by the descriptors.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import torch
 from torch import nn
@@ -18,7 +17,6 @@ from artifact.methods.blocks.adapters import MultiScaleAdapter
 from artifact.methods.blocks.dinov2 import VisionTransformer, feature_map
 from artifact.methods.blocks.inputs import PATCH, check_images
 from artifact.methods.blocks.pooling import unit_gem
-from artifact.methods.blocks.untrained import untrained
 
 _WIDTH = 1024
 _DEPTH = 24
@@ -34,15 +32,11 @@ class _BranchedTransformer(VisionTransformer):
     def branches(self, images: torch.Tensor, adapters: Sequence[nn.ModuleList]) -> list[torch.Tensor]:
         """Map images (b, 3, h, w) to one tensor of normalised tokens (b, 1 + n, 1024) per branch."""
         grid = (images.shape[-2] // PATCH, images.shape[-1] // PATCH)
-        tokens = self.embed(images)
-        for block in self.blocks[:-_ADAPTERS]:
-            tokens = block(tokens)
+        tokens = self.encode(images, -_ADAPTERS)
         states = [tokens] * len(adapters)
         for index, block in enumerate(self.blocks[-_ADAPTERS:]):
             tokens = block(tokens)
-            states = [
-                state + branch[index](state + tokens, grid) for state, branch in zip(states, adapters, strict=True)
-            ]
+            states = [s + branch[index](s + tokens, grid) for s, branch in zip(states, adapters, strict=True)]
         return [self.norm(state) for state in states]
 
 
@@ -86,6 +80,3 @@ class SelaVPRPlusPlus(nn.Module):
             functional.normalize(last(pool(feature_map(first(tokens), side, side))), dim=1)
             for tokens, (_, first, pool, last) in zip(branches, heads, strict=True)
         ]
-
-
-selavprpp = partial(untrained, SelaVPRPlusPlus)

@@ -10,9 +10,9 @@ from torch.nn import functional
 class Thumbnail(nn.Module):
     """Normalise every patch of a small grey image to mean 0 and standard deviation 1; flatten; unit length.
 
-    Images ``(b, 1, h, w)`` to descriptors ``(b, h * w)``, float32. A patch without contrast becomes zeros. Patch normalisation
-    takes out local brightness and contrast, so it is itself a simple, fixed form of condition suppression; it keeps the exact
-    layout of edges, so it fails when the viewpoint moves.
+    Images ``(b, 1, h, w)`` to descriptors ``(b, h * w)``, float32. A patch without contrast becomes zeros. Patch
+    normalisation takes out local brightness and contrast, so it is itself a simple, fixed form of condition
+    suppression; it keeps the exact layout of edges, so it fails when the viewpoint moves.
     """
 
     def __init__(self, patch: int = 8) -> None:

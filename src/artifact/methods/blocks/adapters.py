@@ -27,7 +27,7 @@ class MultiScaleAdapter(nn.Module):
     """Bottleneck with convolutions of three sizes over the patch grid (CricaVPR, SelaVPR++).
 
     The hidden channels come from a 1 × 1 convolution (half of them) and from 3 × 3 and 5 × 5 convolutions behind 1 × 1
-    reductions (a quarter each). They are added to their input; the class token, which has no place in the grid, to itself.
+    reductions (a quarter each). They are added to their input; the class token, with no place in the grid, to itself.
     """
 
     def __init__(self, width: int) -> None:

@@ -12,6 +12,8 @@ import torch
 from torch import nn
 from torch.nn import functional
 
+Activation = Callable[[torch.Tensor], torch.Tensor]
+
 
 class MultiHeadAttention(nn.Module):
     """Attention of queries to a context, with one stacked projection of queries, keys and values."""
@@ -37,13 +39,7 @@ class MultiHeadAttention(nn.Module):
 class EncoderLayer(nn.Module):
     """Transformer encoder layer that normalises after each residual addition, with `hidden` channels inside."""
 
-    def __init__(
-        self,
-        width: int,
-        heads: int,
-        hidden: int,
-        activation: Callable[[torch.Tensor], torch.Tensor] = functional.relu,
-    ) -> None:
+    def __init__(self, width: int, heads: int, hidden: int, activation: Activation = functional.relu) -> None:
         super().__init__()
         self.self_attn = MultiHeadAttention(width, heads)
         self.linear1 = nn.Linear(width, hidden)

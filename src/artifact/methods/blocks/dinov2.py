@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable
+from functools import partial
 
 import torch
 from torch import nn
@@ -25,9 +26,9 @@ FeedForward = Callable[[int], nn.Module]  # from the width of a token
 def interpolate_positions(embedding: torch.Tensor, rows: int, columns: int) -> torch.Tensor:
     """Resample position embeddings to another grid of patches, as DINOv2 does.
 
-    Bicubic, without antialiasing, from (1, 1 + 37², c) to (1, 1 + rows · columns, c); the class token comes first. The step
-    between samples is 37 / (rows + 0.1), not 37 / rows: DINOv2 adds 0.1 patches, historically against rounding errors, and
-    every method built on it inherits that.
+    Bicubic, without antialiasing, from (1, 1 + 37², c) to (1, 1 + rows · columns, c); the class token comes first. The
+    step between samples is 37 / (rows + 0.1), not 37 / rows: DINOv2 adds 0.1 patches, historically against rounding
+    errors, and every method built on it inherits that.
 
     Examples
     --------
@@ -157,10 +158,10 @@ class VisionTransformer(nn.Module):
         tokens = torch.cat((self.cls_token.expand(len(patches), -1, -1), patches), dim=1)
         return tokens + interpolate_positions(self.pos_embed, rows, columns)
 
-    def encode(self, images: torch.Tensor) -> torch.Tensor:
-        """Map images to the last block's tokens (b, 1 + h / 14 · w / 14, width), not normalised."""
+    def encode(self, images: torch.Tensor, end: int | None = None) -> torch.Tensor:
+        """Map images to the tokens (b, 1 + h / 14 · w / 14, width) behind the blocks up to `end`, not normalised."""
         tokens = self.embed(images)
-        for block in self.blocks:
+        for block in self.blocks[:end]:
             tokens = block(tokens)
         return tokens
 
@@ -169,14 +170,8 @@ class VisionTransformer(nn.Module):
         return self.norm(self.encode(images))
 
 
-def vit_base(*, block: type[Block] = Block, mask_token: bool = True) -> VisionTransformer:
-    """ViT-B/14: 768 channels, 12 blocks."""
-    return VisionTransformer(768, 12, 12, block=block, mask_token=mask_token)
-
-
-def vit_large(*, block: type[Block] = Block) -> VisionTransformer:
-    """ViT-L/14: 1024 channels, 24 blocks."""
-    return VisionTransformer(1024, 24, 16, block=block)
+vit_base = partial(VisionTransformer, 768, 12, 12)
+vit_large = partial(VisionTransformer, 1024, 24, 16)
 
 
 def feature_map(tokens: torch.Tensor, height: int, width: int) -> torch.Tensor:

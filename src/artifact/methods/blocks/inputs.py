@@ -20,25 +20,24 @@ def check_images(
 ) -> tuple[int, int]:
     """Check that a model can describe images (b, 3, height, width), and return height and width.
 
-    The rules are in pixels, but for the number of 14 × 14 pixel patches (after rounding to whole ones), a lower bound. Shape,
-    dtype and device must be the model's; a broken rule is a ``ValueError`` with what was found, is allowed, and to do.
+    The rules are in pixels, but for the number of 14 × 14 pixel patches (after rounding to whole ones), a lower bound.
+    Shape, dtype and device must be the model's; a broken rule is a ``ValueError`` that says what to do.
     """
     name = type(model).__name__
     _check_tensor(images, next(model.parameters()), name)
     height, width = images.shape[-2:]
     smallest = min(height, width)
     if exact is not None and (height, width) != (exact, exact):
-        rule = f"exactly {exact} × {exact} pixels"
-        remedy = f"Resize them to {exact} × {exact}."
+        rule, remedy = f"exactly {exact} × {exact} pixels", f"Resize them to {exact} × {exact}."
     elif smallest < at_least:
-        rule = f"at least {at_least} pixels on each side"
-        remedy = "Resize them, or leave out broken images."
+        rule, remedy = f"at least {at_least} pixels on each side", "Resize them, or leave out broken images."
     elif square and height != width:
         rule = "square images" + (f" with a side that is a multiple of {multiple}" if multiple > 1 else "")
         remedy = "Resize them to a square, for example 322 × 322."
     elif multiple > 1 and (height % multiple or width % multiple or smallest == 0):
         rule = f"a height and a width that are positive multiples of {multiple} pixels"
-        remedy = f"Resize them, for example to {_nearest(height, multiple)} × {_nearest(width, multiple)}."
+        nearest = (max(1, round(size / multiple)) * multiple for size in (height, width))
+        remedy = f"Resize them, for example to {' × '.join(map(str, nearest))}."
     elif round(height / PATCH) * round(width / PATCH) <= more_patches_than:
         rule = f"more than {more_patches_than} patches of {PATCH} × {PATCH} pixels, such as 126 × 126 pixels"
         remedy = "Resize them to a larger size, for example 322 × 322."
@@ -65,7 +64,3 @@ def _check_tensor(images: torch.Tensor, weight: torch.Tensor, name: str) -> None
             f"{images.dtype} on {images.device}. Normalise the images (ImageNet mean and standard deviation) "
             f"and call images.to({str(weight.device)!r}, {weight.dtype})."
         )
-
-
-def _nearest(size: int, multiple: int) -> int:
-    return max(1, round(size / multiple)) * multiple

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import nn
@@ -12,21 +12,21 @@ from torch import nn
 Model = TypeVar("Model", bound=nn.Module)
 
 
-def untrained(make: Callable[[], Model], seed: int = 0) -> Model:
-    """Build a model for inference, in eval mode, with reproducible weights that no training has touched.
+def untrained(make: Callable[..., Model], seed: int = 0, **options: Any) -> Model:
+    """Return ``make(**options)`` for inference, in eval mode, with reproducible weights that no training has touched.
 
-    The constructor runs on the meta device, so PyTorch's own initialisation costs nothing and the global random state is not
-    used. Inside ``with torch.device("meta")`` nothing at all is allocated: the way to load a checkpoint (``strict=True,
-    assign=True``) at the cost of one copy.
+    The constructor runs on the meta device, so PyTorch's own initialisation costs nothing and the global random state
+    is not used. Inside ``with torch.device("meta")`` nothing is allocated: a checkpoint then costs one copy
+    (``assign=True``).
 
     Examples
     --------
-    >>> layer = untrained(lambda: nn.Linear(3, 2))
+    >>> layer = untrained(nn.Linear, in_features=3, out_features=2)
     >>> layer.training, layer.weight.requires_grad, layer.bias.tolist()
     (False, False, [0.0, 0.0])
     """
     with torch.device("meta"):
-        model = make()
+        model = make(**options)
     model.eval().requires_grad_(False)
     device = torch.get_default_device()
     if device.type != "meta":

@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import Literal
 
 from artifact import store
+from artifact.datasets import download
 from artifact.manifest.entries import MethodEntry, WeightsEntry, WeightsFile
-from artifact.methods.weights import download, lock
+from artifact.methods.weights import lock
 from artifact.methods.weights.lock import WeightsError
 
 Status = Literal["not needed", "present", "not checked yet", "missing", "changed"]
 
 Check = Callable[[WeightsFile, Path], str]
-"""Says whether the content of a file, which may have another name for now, fits the method's model: returns the digest
-of its tensors, or raises :class:`WeightsError`."""
+"""Returns the digest of the tensors of a file, which may have another name for now, or raises :class:`WeightsError`."""
 
 _REMEDY = (
     "run `make data PROFILE=paper` (or `python -m artifact data --profile paper`): it shows licences and terms, "
@@ -33,17 +33,10 @@ _WORST_LAST: tuple[Status, ...] = ("present", "not checked yet", "missing", "cha
 
 @dataclass(frozen=True)
 class State:
-    """Where a method's weights stand.
+    """Where a method's weights stand: a line on the method, and several on its files and what to do about them.
 
-    Attributes
-    ----------
-    status
-        ``"not needed"`` (the model has none, or its builder brings them), ``"present"`` (accepted and unchanged),
-        ``"not checked yet"`` (there, but never loaded), ``"missing"`` or ``"changed"``.
-    summary
-        One line for a list of methods.
-    detail
-        The files, and what to do about those that are missing or changed; several lines.
+    ``status`` is ``"not needed"`` (the model has none, or its builder brings them), ``"present"`` (accepted and
+    unchanged), ``"not checked yet"`` (there, but never loaded), ``"missing"`` or ``"changed"``.
     """
 
     status: Status
@@ -99,31 +92,23 @@ def require(entries: Mapping[str, MethodEntry]) -> None:
 def digests(entry: WeightsEntry) -> list[str | None]:
     """Return the SHA-256 of each file of weights: what a method's descriptors depend on.
 
-    A file that was accepted once may be deleted afterwards: its lock file, or the manifest, still knows the digest.
-    ``None`` stands for a file that nobody knows here.
-
-    Raises
-    ------
-    WeightsError
-        If a file is not what its lock file says, or cannot be read.
+    A file that was accepted once may be deleted afterwards: its lock file, or the manifest, still knows the digest;
+    ``None`` if neither does. Raises :class:`WeightsError` if a file is not what its lock file says, or cannot be read.
     """
-    return [_digest(file, path_of(entry, file)) for file in entry.files]
 
+    def digest(file: WeightsFile, path: Path) -> str | None:
+        if lock.path_of(path).exists():
+            return lock.compare(file, path) if path.exists() else lock.read(path)["sha256"]
+        return lock.sha256(path) if path.exists() else file.sha256
 
-def _digest(file: WeightsFile, path: Path) -> str | None:
-    if lock.path_of(path).exists():
-        return lock.compare(file, path) if path.exists() else lock.read(path)["sha256"]
-    return lock.sha256(path) if path.exists() else file.sha256
+    return [digest(file, path_of(entry, file)) for file in entry.files]
 
 
 def verified(name: str, entry: WeightsEntry, file: WeightsFile, check: Check) -> Path:
     """Return the path of a file of weights that is what it should be; the first time, examine it and lock it.
 
-    Raises
-    ------
-    WeightsError
-        If the file is missing (with how to get it), differs from its lock file or from what the manifest says of it,
-        does not fit the model, or holds the same weights as another file.
+    Raises :class:`WeightsError` if the file is missing (with how to get it), differs from its lock file or from what
+    the manifest says of it, does not fit the model, or holds the same weights as another file.
     """
     path = path_of(entry, file)
     if not path.exists():
@@ -161,12 +146,8 @@ def fetch(name: str, entry: WeightsEntry, check: Check, *, progress: bool = True
     """Make all files of a method's weights ready: download what is missing, examine and lock what is not locked yet.
 
     Show :func:`announcement` first. An interrupted download goes on where it was, and no file gets its name before
-    ``check`` has accepted it.
-
-    Raises
-    ------
-    WeightsError
-        If a file cannot be had, or is not what it should be. All are listed, with what to do by hand.
+    ``check`` has accepted it. Raises :class:`WeightsError` that lists all files which cannot be had, or are not what
+    they should be, with what to do by hand.
     """
     faults = []
     for file in entry.files:
@@ -196,8 +177,8 @@ def _download(name: str, entry: WeightsEntry, file: WeightsFile, check: Check, *
             url = download.retrieve(file.urls, path, sha256=file.sha256, accept=accept, progress=progress)
         except download.DownloadError as error:
             reasons = str(error) if file.urls else "  no address is known"
-            lines = [f"{name}: {file.file} could not be downloaded", reasons, _by_hand(entry, file)]
-            raise WeightsError("\n".join(lines)) from None
+            failed = f"{name}: {file.file} could not be downloaded"
+            raise WeightsError(f"{failed}\n{reasons}\n{_by_hand(entry, file)}") from None
         lock.write(path, url=url, method=name, tensors=accepted[-1])
 
 

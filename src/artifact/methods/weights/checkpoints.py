@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from safetensors.torch import load_file
 
-from artifact.methods.weights.download import looks_like_page
+from artifact.datasets.download import looks_like_page
 
 _LISTED = 20
 _CONTAINERS = {"state_dict": "under the key 'state_dict'", "model_state_dict": "under the key 'model_state_dict'"}
@@ -36,15 +36,12 @@ class CheckpointError(RuntimeError):
 
 
 def read(path: Path, *, container: str | None = None, tensor: str | None = None) -> dict[str, torch.Tensor]:
-    """Read the weights of a checkpoint into memory, on the CPU.
+    """Read the weights of a checkpoint into memory, on the CPU; a leading ``module.`` of all names is removed.
 
-    The format is recognised by the content: safetensors, or a file of ``torch.save`` in either of its forms. A leading
-    ``module.`` is removed where all names have it.
+    The format is recognised by the content: safetensors, or a file of ``torch.save`` in either of its forms.
 
     Parameters
     ----------
-    path
-        The file.
     container
         ``"state_dict"`` or ``"model_state_dict"`` if the weights must be under that key of the checkpoint, ``"flat"``
         if they must not be under any, ``None`` to take what is found.
@@ -137,13 +134,7 @@ def _stand_in(name: str) -> type:
 
 
 def faults(state: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor]) -> list[str]:
-    """Compare weights with those that a model needs, by name, shape and kind of number.
-
-    Returns
-    -------
-    list of str
-        One line each for the missing, the unexpected and the misshaped, with their number and the first 20 names. Empty
-        if all fit.
+    """Compare weights with those that a model needs: a line each, with the first 20 names, for the kinds of difference.
 
     Examples
     --------
@@ -151,31 +142,21 @@ def faults(state: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tenso
     ['1 missing: b', '1 unexpected: c', '1 of another shape: a (2) for (3)']
     """
     both = [(name, state[name], tensor) for name, tensor in expected.items() if name in state]
+    retyped = [(name, a, b) for name, a, b in both if a.is_floating_point() != b.is_floating_point()]
     differing = {
         "missing": [name for name in expected if name not in state],
         "unexpected": [name for name in state if name not in expected],
         "of another shape": [f"{name} {_shape(a)} for {_shape(b)}" for name, a, b in both if a.shape != b.shape],
-        "of another type": [
-            f"{name} {a.dtype} for {b.dtype}" for name, a, b in both if a.is_floating_point() != b.is_floating_point()
-        ],
+        "of another type": [f"{name} {a.dtype} for {b.dtype}" for name, a, b in retyped],
     }
     return [f"{len(items)} {what}: {_listed(items)}" for what, items in differing.items() if items]
 
 
 def load_into(model: torch.nn.Module, state: Mapping[str, torch.Tensor]) -> torch.nn.Module:
-    """Give a model its weights: all of them, and nothing else.
+    """Give a model its weights, what :func:`read` returned for all files of the method: all of them, and nothing else.
 
-    Parameters
-    ----------
-    model
-        May be on the meta device: then it takes over the tensors, and nothing is copied.
-    state
-        What :func:`read` returned, for all files of the method. Floats are converted to the model's precision.
-
-    Raises
-    ------
-    CheckpointError
-        If the weights do not fit; the message has the lines of :func:`faults`.
+    Floats are converted to the model's precision. A model on the meta device takes over the tensors, and nothing is
+    copied. Raises :class:`CheckpointError` with the lines of :func:`faults` if the weights do not fit.
     """
     expected = model.state_dict()
     if found := faults(state, expected):

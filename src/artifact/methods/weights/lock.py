@@ -62,10 +62,7 @@ def writing(path: Path) -> Iterator[None]:
 def compare(file: WeightsFile, path: Path) -> str:
     """Return the SHA-256 of a locked file of weights, after comparing the file with its lock file.
 
-    Raises
-    ------
-    WeightsError
-        If the content differs from the record, or the record from the manifest. The message has both digests.
+    Raises :class:`WeightsError` with both digests if the content differs from the record, or that from the manifest.
     """
     record, status = read(path), path.stat()
     if file.sha256 not in (None, record["sha256"]):
