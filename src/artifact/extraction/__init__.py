@@ -1,1 +1,1 @@
-"""Traversal × method → descriptors on disk, in resumable shards; local features and codes of two-stage methods."""
+"""Traversal × method → descriptors on disk, in parts, resumable at any moment; local features and codes of two-stage methods."""

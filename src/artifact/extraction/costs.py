@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
-from artifact import datasets, store
+from artifact import datasets, methods, store
 from artifact.datasets import shipped
 from artifact.datasets.traversal import Traversal
-from artifact.extraction import extract, local_features, reading
+from artifact.extraction import local_features, reading
 from artifact.extraction.disk import in_words
+from artifact.extraction.stored import descriptor_key, stored_path
 from artifact.extraction.timing import PHOTOGRAPH, Timing, Trials
 from artifact.manifest import Manifest
-from artifact.manifest.entries import MethodEntry
 from artifact.methods import weights
 
 if TYPE_CHECKING:
@@ -30,19 +30,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Part:
-    """One traversal as far as it is known.
+class KnownTraversal:
+    """A traversal as far as it is known.
 
-    Attributes
-    ----------
-    name
-        The traversal.
-    images
-        Number of images; ``None`` if neither the images nor the manifest tell.
-    state
-        Of its images: ``"here"``, ``"not rendered yet"`` or ``"not there yet"``.
-    image_size
-        Height and width of its first image, in pixels; ``None`` if it is not here.
+    ``images`` is their number, ``None`` if neither the images nor the manifest tell. ``state`` is ``"here"``, ``"not rendered
+    yet"`` or ``"not there yet"``. ``image_size`` is height and width of the first image in pixels, if it is here.
     """
 
     name: str
@@ -55,22 +47,9 @@ class Part:
 class ExtractionCost:
     """What one method takes for one dataset; only for images whose descriptors are not stored yet.
 
-    Attributes
-    ----------
-    method, dataset
-        Names in the manifest.
-    images, batches
-        Images and batches that go through the model.
-    seconds
-        Expected time; ``None`` if it is unknown.
-    disk
-        Bytes of the descriptors, and of the local features or codes of a two-stage method.
-    memory
-        Peak bytes of the model's process, or of the CUDA device.
-    notes
-        What is stored, missing, assumed or not measured.
-    reader_memory
-        Bytes of each process that reads images.
+    ``images`` and ``batches`` go through the model; ``seconds`` is ``None`` if it is unknown. ``disk`` is in bytes, of
+    descriptors and of local features or codes; ``memory`` the peak in bytes of the model's process, or of the CUDA device,
+    and ``reader_memory`` that of each process that reads. ``notes`` say what is stored, missing, assumed or not measured.
     """
 
     method: str
@@ -84,33 +63,32 @@ class ExtractionCost:
     reader_memory: float | None = None
 
 
-def known_parts(manifest: Manifest, dataset: str) -> list[Part]:
+def known_traversals(manifest: Manifest, dataset: str) -> list[KnownTraversal]:
     """Return the traversals that extraction would describe, with their number of images, reading no image.
 
     The number is that of the images here, else of the shipped descriptors, else the paper's (query and database).
     """
     entry = manifest.dataset(dataset)
-    parts = [_part(manifest, dataset, name) for name in entry.traversals]
-    needed = {entry.query, entry.database}
-    return [part for part in parts if part.name in needed or part.images is not None]
+    found = [_known(manifest, dataset, name) for name in entry.traversals]
+    return [one for one in found if one.name in (entry.query, entry.database) or one.images is not None]
 
 
-def _part(manifest: Manifest, dataset: str, name: str) -> Part:
+def _known(manifest: Manifest, dataset: str, name: str) -> KnownTraversal:
     entry, images = manifest.dataset(dataset), datasets.image_folder(manifest, dataset, name)
     if images.is_dir():
         names, _ = datasets.listed(manifest, dataset, name)
         with Image.open(images / names[0]) as first:
-            return Part(name, len(names), "here", (first.height, first.width))
+            return KnownTraversal(name, len(names), "here", (first.height, first.width))
     if entry.kind == "city":
-        return Part(name, (entry.traversals[name].render or {}).get("frames"), "not rendered yet")
+        return KnownTraversal(name, (entry.traversals[name].render or {}).get("frames"), "not rendered yet")
     without_images = shipped.traversal(entry.root or dataset, name)
     if without_images is not None:
-        return Part(name, len(without_images[0]), "not there yet")
+        return KnownTraversal(name, len(without_images[0]), "not there yet")
     counts = {entry.query: entry.paper.queries, entry.database: entry.paper.database} if entry.paper else {}
-    return Part(name, counts.get(name), "not there yet")
+    return KnownTraversal(name, counts.get(name), "not there yet")
 
 
-def is_stored(manifest: Manifest, method: str, dataset: str, part: Part, precision: str) -> bool:
+def is_stored(manifest: Manifest, method: str, dataset: str, known: KnownTraversal, precision: str) -> bool:
     """Whether descriptors of the traversal are stored or shipped, judged by their sidecars: no image is read.
 
     A sidecar counts if it is of this method as the manifest has it now, and of as many images of this traversal, maybe
@@ -119,76 +97,68 @@ def is_stored(manifest: Manifest, method: str, dataset: str, part: Part, precisi
     entry = manifest.method(method)
 
     def key(digest: str) -> str:
-        images = Traversal(dataset, part.name, "", (), np.zeros((0, 1)), digest)
-        return extract.descriptor_key(images, method, entry, precision)
+        images = Traversal(dataset, known.name, "", (), np.zeros((0, 1)), digest)
+        return descriptor_key(images, method, entry, precision)
 
-    if part.state == "not there yet":
-        without_images = shipped.traversal(manifest.dataset(dataset).root or dataset, part.name)
+    if known.state == "not there yet":
+        without_images = shipped.traversal(manifest.dataset(dataset).root or dataset, known.name)
         if without_images is not None and shipped.path_of(key(without_images[1])):
             return True
     roots = {name: other.root or name for name, other in manifest.datasets.items()}
     same = [name for name in roots if roots[name] == roots.get(dataset)] or [dataset]
-    for path in extract.stored_path(manifest, method, "").parent.glob("*.json"):
-        sidecar = store.read_json(path)
-        if sidecar.get("dataset") in same and sidecar["traversal"] == part.name:
-            found = sidecar["shape"], sidecar["key"]
-            if found == ([part.images, entry.dimension], key(sidecar["images"])):
-                return True
-    return False
+    return any(
+        record.get("dataset") in same
+        and record["traversal"] == known.name
+        and record["shape"] == [known.images, entry.dimension]
+        and record["key"] == key(record["images"])
+        for record in map(store.remembered, stored_path(manifest, method, "").parent.glob("*.json"))
+    )
 
 
 def extraction_cost(
     manifest: Manifest,
     method: str,
     dataset: str,
-    parts: Sequence[Part],
+    traversals: Sequence[KnownTraversal],
     trials: Trials,
     devices: Sequence[torch.device],
     precision: str = "float32",
 ) -> ExtractionCost:
     """Return what a method takes for those traversals of a dataset whose descriptors are not stored."""
     entry = manifest.method(method)
-    stored = [part for part in parts if is_stored(manifest, method, dataset, part, precision)]
-    todo = [part for part in parts if part not in stored]
-    images = sum(part.images or 0 for part in todo)
-    layout = local_features.layout_of(entry)
-    second = images * layout.image_bytes if layout else 0
-    timings = [trials.of_method(method, entry, part.image_size or PHOTOGRAPH, devices[0], precision) for part in todo]
+    todo = [known for known in traversals if not is_stored(manifest, method, dataset, known, precision)]
+    counts = [known.images or 0 for known in todo]
+    timings = [trials.of_method(method, entry, known.image_size or PHOTOGRAPH, devices[0], precision) for known in todo]
     seconds = [
-        math.nan if timing.forward is None else (part.images or 0) * seconds_per_image(timing, devices)
-        for part, timing in zip(todo, timings, strict=True)
+        None if timing.forward is None else n * seconds_per_image(timing, devices)
+        for n, timing in zip(counts, timings, strict=True)
     ]
+    layout = local_features.layout_of(entry)
+    second = sum(counts) * layout.image_bytes if layout else 0
+    notes = [known.state for known in todo if known.state != "here"]
+    if todo and weights.state(method, entry).status == "missing":
+        notes.append("weights not there yet")
+    others = [name for name in methods.of_trunk(manifest, method) if name != method]
+    if todo and others:
+        notes.append(f"in one pass with {', '.join(others)}: counted for each")
+    if second:
+        notes.append(f"{in_words(second)} of it {'hash codes' if entry.code_bits else 'local features'}")
+    if here := len(traversals) - len(todo):
+        notes.append(f"{here} of {len(traversals)} traversals stored" if todo else "stored")
+    if unknown := [known.name for known in todo if known.images is None]:
+        notes.append(f"number of images unknown: {', '.join(unknown)}")
+    notes += [timing.note if timing.forward is None else f"timed with {timing.note}" for timing in timings]
     return ExtractionCost(
         method,
         dataset,
-        images,
-        batches=sum(-(-(part.images or 0) // entry.batch_size) for part in todo),
-        seconds=None if math.isnan(sum(seconds)) else sum(seconds),
-        disk=images * entry.dimension * 4 + second,
+        sum(counts),
+        batches=sum(math.ceil(n / entry.batch_size) for n in counts),
+        seconds=None if None in seconds else sum(seconds),
+        disk=sum(counts) * entry.dimension * 4 + second,
         memory=max((timing.memory or 0 for timing in timings), default=0) or None,
-        notes=tuple(dict.fromkeys(_notes(method, entry, parts, todo, timings, second))),
+        notes=tuple(dict.fromkeys(notes)),
         reader_memory=max((timing.reader_memory or 0 for timing in timings), default=0) or None,
     )
-
-
-def _notes(
-    method: str,
-    entry: MethodEntry,
-    parts: Sequence[Part],
-    todo: Sequence[Part],
-    timings: Sequence[Timing],
-    second: int,
-) -> list[str]:
-    notes = [part.state for part in todo if part.state != "here"]
-    if todo and weights.state(method, entry).status == "missing":
-        notes.append("weights not there yet")
-    if second:
-        notes.append(f"{in_words(second)} of it {'hash codes' if entry.code_bits else 'local features'}")
-    if len(todo) < len(parts):
-        notes.append(f"{len(parts) - len(todo)} of {len(parts)} traversals stored" if todo else "stored")
-    if unknown := [part.name for part in todo if part.images is None]:
-        notes.append(f"number of images unknown: {', '.join(unknown)}")
-    return notes + [timing.note if timing.forward is None else f"timed with {timing.note}" for timing in timings]
 
 
 def seconds_per_image(timing: Timing, devices: Sequence[torch.device]) -> float:

@@ -1,18 +1,18 @@
 """Traversal × method → descriptors on disk, resumable at any moment.
 
-Worker processes decode and prepare images ahead of the model (:mod:`artifact.extraction.reading`), which describes them in
-batches that are always the same (:mod:`artifact.extraction.shards`). Descriptors go to a partial file, and a journal beside it
-records the rows that are safely on disk (:mod:`artifact.extraction.partial`): a killed run goes on from there and ends with the
-same bytes. A result is complete only when its sidecar exists.
+Images are described in parts (:mod:`artifact.extraction.parts`) by jobs (:mod:`artifact.extraction.jobs`), here or on other
+machines that share the storage. What is missing is described here; then the parts of the descriptors become one file, which
+ranking maps into memory. A killed run goes on from the parts that are there and ends with the same bytes. The file is
+complete only when its sidecar exists.
 """
 
 from __future__ import annotations
 
-import platform
-import sys
-import time
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+import contextlib
+import functools
+import shutil
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,21 +20,21 @@ import numpy as np
 from tqdm import tqdm
 
 from artifact import methods, store
-from artifact.datasets import shipped
-from artifact.datasets.traversal import DatasetError, Given, Traversal
-from artifact.extraction import local_features, partial
-from artifact.extraction.local_features import Job
-from artifact.extraction.reading import ExtractionError
-from artifact.manifest import Manifest
+from artifact.datasets import imported, shipped
+from artifact.datasets.traversal import CHANGED, DatasetError, Given, Traversal
+from artifact.extraction.disk import free_bytes, in_words
+from artifact.extraction.local_features import SecondOutput
+from artifact.extraction.parts import assemble
+from artifact.extraction.stored import REVISION, Stored, descriptor_key, stored, stored_path
+from artifact.manifest import CACHE_VARIABLE, Manifest
 from artifact.manifest.entries import ManifestError, MethodEntry
 
 if TYPE_CHECKING:
     import torch  # imported where descriptors are made: reading stored ones does not need it
 
-__all__ = ["PRECISIONS", "Descriptors", "ExtractionError", "descriptor_key", "descriptors", "is_ready", "stored_path"]
 
-PRECISIONS = ("float32", "bfloat16", "float16")
-REVISION = 2  # raise when the same model and images would give other descriptors
+class ValuesAbsentError(store.StoreError):
+    """Values that an imported results bundle knows of, but does not hold."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class Descriptors:
 
     Attributes
     ----------
-    values
-        ``(n, d)`` float32, unit length, in the order of the traversal; may be a read-only memory map.
+    array
+        The :attr:`values`; ``None`` if they are not at hand, for the reason ``absent``.
     key
         Content key of all that they were made from.
     sha256
@@ -55,11 +55,22 @@ class Descriptors:
         The record stored beside them.
     """
 
-    values: np.ndarray = field(repr=False)
+    array: np.ndarray | None = field(repr=False)
     key: str
     sha256: str
     source: str
     sidecar: dict[str, Any] = field(repr=False)
+    absent: str = field(default="", repr=False)
+
+    @property
+    def values(self) -> np.ndarray:
+        """``(n, d)`` float32, unit length, in the order of the traversal; may be a read-only memory map.
+
+        Raises :class:`ValuesAbsentError` if an imported results bundle knows of them, but they are not at hand.
+        """
+        if self.array is None:
+            raise ValuesAbsentError(self.absent)
+        return self.array
 
 
 def descriptors(
@@ -79,13 +90,13 @@ def descriptors(
     manifest, traversal, method
         What to describe, and the method's name in the manifest.
     device
-        One device or several with commas between, such as ``"cuda:0,cuda:1"``, or ``"all"`` CUDA devices; several share
-        the images, one process each. ``None`` takes CUDA if there is any, else the CPU.
+        One device or several with commas between, such as ``"cuda:0,cuda:1"``, or ``"all"`` CUDA devices. Here the first
+        describes what is missing: an engine shares the jobs out. ``None`` takes CUDA if there is any, else the CPU.
     precision
         ``"float32"``, or mixed precision with ``"bfloat16"`` or ``"float16"``, which gives other descriptors, stored
         beside the former.
     workers
-        Processes that read images for each device; ``None`` leaves one core to the model; 0 reads in the model's.
+        Processes that read images; ``None`` leaves one core to the model; 0 reads in the model's.
     progress
         Whether to show a progress bar with rate and remaining time.
 
@@ -97,24 +108,29 @@ def descriptors(
     DatasetError
         If neither images nor shipped descriptors are at hand.
     StoreError
-        If the disk has no room for the descriptors.
+        If the disk has no room for the descriptors, or shipped ones are damaged.
     """
-    entry = manifest.method(method)
-    if method in traversal.descriptors:
-        return _given(traversal, method)
-    key = descriptor_key(traversal, method, entry, precision)
-    path = stored_path(manifest, method, key)
-    if not traversal.has_images and not path.with_suffix(".json").exists():
-        found = shipped.path_of(key)
+    place, record = stored(manifest, traversal, method, precision), None
+    if method in traversal.descriptors and not (traversal.has_images and place.is_complete):
+        return _given(manifest, traversal, method)
+    with contextlib.suppress(store.DamagedError):  # read before the lock is asked for: many read the same at once
+        record = store.check(place.path, place.key)
+    if record is None:
+        found = None if traversal.has_images else shipped.path_of(place.key)
         if found is not None:
-            return _read(found, key, "shipped descriptors")
-        traversal.image_paths()
-    with store.lock(path):
-        if not path.with_suffix(".json").exists():
-            files = _files(manifest, traversal, method, key)
-            job = Job(path, key, traversal, method, entry, precision, workers, files)
-            _extract(job, device, progress=progress)
-    return _read(path, key, "images")
+            return _read(found, shipped.record(found), "shipped descriptors")
+        first = next(iter(methods.of_trunk(manifest, method)))
+        # Notebooks beside each other describe the images once, by all methods of a trunk.
+        with store.lock(stored(manifest, traversal, first, precision).path):
+            record = store.find(place.path, place.key)
+            if record is None:
+                store.record_path(place.path).unlink(missing_ok=True)  # of a file that is gone, or of another one
+                options = {"device": device, "precision": precision, "workers": workers, "progress": progress}
+                make = functools.partial(_make, manifest, traversal, method, **options)
+                make()
+                record = _assemble(place, traversal, method, manifest.method(method), precision, make)
+    shutil.rmtree(place.parts_folder, ignore_errors=True)
+    return _read(place.path, record, "images")
 
 
 def second_stage(
@@ -126,7 +142,7 @@ def second_stage(
     precision: str = "float32",
     workers: int | None = None,
     progress: bool = False,
-) -> local_features.SecondOutput | np.ndarray:
+) -> SecondOutput | np.ndarray:
     """Return what a two-stage method stores besides descriptors: local features, or packed hash codes.
 
     They are made together with the descriptors. If only they are missing, the images are described once more.
@@ -138,35 +154,26 @@ def second_stage(
         If the method's entry says nothing of local features or codes, or its model gives others.
     """
     if method in traversal.second_stage:
-        return _rows_of(traversal, traversal.second_stage[method])
-    entry = manifest.method(method)
-    key = descriptor_key(traversal, method, entry, precision)
-    files = _files(manifest, traversal, method, key)
-    if files is None:
+        return _rows_of(manifest, traversal, method, traversal.second_stage[method])
+    second = stored(manifest, traversal, method, precision).second
+    if second is None:
         raise ManifestError(f"{manifest.path}: methods.{method} has neither local_features nor code_bits")
-    if files.missing():
+    options = {"device": device, "precision": precision, "workers": workers, "progress": progress}
+    make = functools.partial(_make, manifest, traversal, method, **options)
+    if second.missing():
         traversal.image_paths()
-        options = {"device": device, "precision": precision, "workers": workers, "progress": progress}
         descriptors(manifest, traversal, method, **options)
-        with store.lock(stored_path(manifest, method, key)):
-            if files.missing():
-                again = files.folder / "descriptors.npy"
-                job = Job(again, key, traversal, method, entry, precision, workers, files)
-                _extract(job, device, progress=progress)
-                again.with_suffix(".json").unlink()
-                again.unlink()
-    return local_features.opened(files)
+        make()
+    second.tidy()
+    return SecondOutput(second, make)
 
 
-def second_stage_key(traversal: Traversal, method: str, entry: MethodEntry) -> str:
-    """Return the content key of a traversal's local features or codes."""
-    if method in traversal.second_stage:
-        return traversal.second_stage[method].sha256
-    return _second_stage_key(descriptor_key(traversal, method, entry), entry)
+def check_disk(
+    manifest: Manifest, traversals: Iterable[Traversal], names: Iterable[str], precision: str = "float32"
+) -> None:
+    """Compare the disk that local features and codes of methods need with what is free, and say both.
 
-
-def check_disk(manifest: Manifest, traversals: Iterable[Traversal], names: Iterable[str]) -> None:
-    """Say how much disk the local features and codes of methods take, and compare it with what is free.
+    Nothing is said if all of them are stored. The need follows from the manifest: nothing is computed for it.
 
     Raises
     ------
@@ -176,37 +183,20 @@ def check_disk(manifest: Manifest, traversals: Iterable[Traversal], names: Itera
     missing, traversals = {}, list(traversals)
     for method in names:
         for traversal in (t for t in traversals if method not in t.descriptors):
-            files = _files(manifest, traversal, method, descriptor_key(traversal, method, manifest.method(method)))
-            if files is not None:
-                missing[local_features.label_of(method, traversal)] = files.missing_bytes()
-    local_features.check_disk(missing, manifest.cache, _say)
-
-
-def _say(line: str) -> None:
-    tqdm.write(line, file=sys.stderr)
-
-
-def _second_stage_key(key: str, entry: MethodEntry) -> str:
-    layout = local_features.layout_of(entry)
-    return store.key(
-        stage="local features",
-        revision=local_features.REVISION,
-        descriptors=key,
-        layout=layout,
-        images_each=None if layout is None else layout.images_per_file,
-    )
-
-
-def _files(manifest: Manifest, traversal: Traversal, method: str, key: str) -> local_features.Files | None:
-    """Where the second output goes that comes with the descriptors of a key; ``None`` for one-stage methods."""
-    entry = manifest.method(method)
-    layout, second_key = local_features.layout_of(entry), _second_stage_key(key, entry)
-    folder = manifest.cache / "local_features" / method / second_key[:24]
-    return (
-        None
-        if layout is None
-        else local_features.Files(folder, second_key, len(traversal), layout, layout.images_per_file)
-    )
+            second = stored(manifest, traversal, method, precision).second
+            if second is not None and second.missing():
+                missing[_label(method, traversal)] = second.missing_bytes()
+    if not missing:
+        return
+    needed, free = sum(missing.values()), free_bytes(manifest.cache)
+    what = f"local features and codes of {', '.join(missing)}"
+    if needed > free:
+        raise store.StoreError(
+            f"{manifest.cache}: {what} need {in_words(needed)} of disk, {in_words(free)} are free. Free some, set "
+            f"{CACHE_VARIABLE} to a folder on a larger disk, or store local features as float16 (half the "
+            f"size): 'dtype: float16' below 'local_features' in the method's manifest entry"
+        )
+    store.say(f"{what} need {in_words(needed)} of disk; {in_words(free)} are free in {manifest.cache}")
 
 
 def is_ready(manifest: Manifest, traversal: Traversal, method: str) -> bool:
@@ -214,34 +204,25 @@ def is_ready(manifest: Manifest, traversal: Traversal, method: str) -> bool:
     if method in traversal.descriptors:
         return True
     key = descriptor_key(traversal, method, manifest.method(method))
-    stored = stored_path(manifest, method, key).with_suffix(".json").exists()
-    return stored or (not traversal.has_images and shipped.path_of(key) is not None)
+    path = stored_path(manifest, method, key)
+    complete = path.exists() and path.with_suffix(".json").exists()
+    return complete or (not traversal.has_images and shipped.path_of(key) is not None)
 
 
-def descriptor_key(traversal: Traversal, method: str, entry: MethodEntry, precision: str = "float32") -> str:
-    """Return the content key of descriptors: images, order, model, preprocessing, precision and code revisions.
-
-    Raises
-    ------
-    ExtractionError
-        If the precision is none of :data:`PRECISIONS`.
-    """
-    if precision not in PRECISIONS:
-        raise ExtractionError(f"precision {precision!r}: allowed are {', '.join(PRECISIONS)}")
-    model = methods.fingerprint(method, entry)
-    mixed = {} if precision == "float32" else {"precision": precision}
-    return store.key(stage="descriptors", revision=REVISION, images=traversal.digest, model=model, **mixed)
+def is_at_hand(manifest: Manifest, traversal: Traversal, method: str) -> bool:
+    """Whether the values of the descriptors are here or can be made, and are not just recorded in an imported bundle."""
+    given = traversal.descriptors.get(method)
+    recorded_only = given is not None and given.path is None
+    return not recorded_only or (traversal.has_images and stored(manifest, traversal, method).is_complete)
 
 
-def stored_path(manifest: Manifest, method: str, key: str) -> Path:
-    """Return the file that holds, or would hold, the descriptors of a key."""
-    return manifest.cache / "descriptors" / method / f"{key[:24]}.npy"
-
-
-def _given(traversal: Traversal, method: str) -> Descriptors:
-    """Return the descriptors that came with a traversal."""
+def _given(manifest: Manifest, traversal: Traversal, method: str) -> Descriptors:
+    """Return the descriptors that came with a traversal, or what an imported bundle records of them."""
     file = traversal.descriptors[method]
-    values = _rows_of(traversal, file)
+    if file.path is None:
+        kept = {name: file.record[name] for name in ("key", "sha256", "source")}
+        return Descriptors(None, **kept, sidecar=file.record["sidecar"], absent=_absent(manifest, traversal, method))
+    values = _rows_of(manifest, traversal, method, file)
     if values.ndim != 2 or values.dtype not in (np.float32, np.float16):
         raise DatasetError(f"{file.path}: holds {values.dtype} {values.shape}; allowed: float32 or float16 of (n, d)")
     if not np.isfinite(values.sum(axis=1, dtype=np.float64)).all():
@@ -250,10 +231,21 @@ def _given(traversal: Traversal, method: str) -> Descriptors:
     return Descriptors(values.astype(np.float32, copy=False), file.sha256, file.sha256, "given descriptors", sidecar)
 
 
-def _rows_of(traversal: Traversal, file: Given) -> np.ndarray:
+def _absent(manifest: Manifest, traversal: Traversal, method: str) -> str:
+    return (
+        f"{_label(method, traversal)}: descriptors are not in the imported results bundle, only what was computed from them; "
+        f"to make them here, delete {manifest.cache / imported.FOLDER} first"
+    )
+
+
+def _rows_of(manifest: Manifest, traversal: Traversal, method: str, file: Given) -> np.ndarray:
+    if file.path is None:
+        raise ValuesAbsentError(_absent(manifest, traversal, method))
+    if store.digest_of_file(file.path) != file.sha256:
+        raise DatasetError(f"{file.path}: {CHANGED}")
     try:
         values = np.load(file.path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, EOFError) as error:
         raise DatasetError(f"{file.path}: cannot be read as a NumPy array ({error})") from None
     if len(values) != len(traversal):
         raise DatasetError(
@@ -262,63 +254,85 @@ def _rows_of(traversal: Traversal, file: Given) -> np.ndarray:
     return values
 
 
-def _read(path: Path, key: str, source: str) -> Descriptors:
-    sidecar = store.read_json(path.with_suffix(".json"))
-    try:
-        values = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise store.StoreError(f"{path}: cannot be read ({error}); delete it and its .json and run again") from None
-    if sidecar["key"] != key or list(values.shape) != sidecar["shape"]:
-        raise store.StoreError(
-            f"{path}: does not fit its sidecar {path.with_suffix('.json').name}; delete both and run again"
-        )
-    if values.dtype != np.float32:
-        values = values.astype(np.float32)
-    return Descriptors(values, key, sidecar["sha256"], source, sidecar)
+def _read(path: Path, record: dict[str, Any], source: str) -> Descriptors:
+    values = np.load(path, mmap_mode="r", allow_pickle=False)
+    return Descriptors(values.astype(np.float32, copy=False), record["key"], record["sha256"], source, record)
 
 
 # -- extraction ---------------------------------------------------------------------------------------------
 
 
-def _extract(job: Job, device: Any, *, progress: bool) -> None:
-    import torch
+def _make(
+    manifest: Manifest,
+    traversal: Traversal,
+    method: str,
+    *,
+    device: str | torch.device | None,
+    precision: str,
+    workers: int | None,
+    progress: bool,
+) -> None:
+    """Describe the images of all parts that are missing."""
+    from artifact.extraction import forward, jobs
 
-    from artifact.extraction import forward, shards
+    todo = jobs.jobs_of(manifest, traversal, method, precision)
+    if not todo:
+        return
+    n, label = len(traversal), _label(method, traversal)
+    chosen = forward.devices(device)
+    if len(chosen) > 1:
+        store.say(f"{label}: several devices at once need the extra 'cluster'; going on with the first, {chosen[0]}")
+    check_disk(manifest, [traversal], [method], precision)
+    _check_room(stored(manifest, traversal, method, precision))
+    initial, hidden = n - sum(len(job.images) for job in todo), None if progress else True
+    bar = tqdm(total=n, initial=initial, unit="image", desc=label, disable=hidden, smoothing=0.05, leave=False)
+    with bar, store.stage("describe"):
+        jobs.run(todo, jobs.forward_of(todo[0], chosen[0]), workers=workers, update=bar.update)
 
-    begun = time.monotonic()
-    devices = forward.devices(device)
-    traversal, entry, n = job.traversal, job.entry, len(job.traversal)
-    if job.files is not None:
-        local_features.check_disk({job.label: job.files.missing_bytes()}, job.files.folder, _say)
-        job = replace(job, key=f"{job.key}+{local_features.start(job.files)}")
-    done = partial.start(job.path, job.key, (n, entry.dimension))
-    remaining = [rows for rows in shards.batches(n, entry.batch_size) if not done[rows].all()]
-    initial = n - sum(rows.stop - rows.start for rows in remaining)
-    hidden = None if progress else True
-    with tqdm(
-        total=n, initial=initial, unit="image", desc=job.label, disable=hidden, smoothing=0.05, leave=False
-    ) as bar:
-        try:
-            work = shards.run(job, remaining, devices, bar.update)
-        except BaseException:
-            partial.abandon(job.path)
-            raise
-    names = {"method": job.method, "dataset": traversal.dataset, "traversal": traversal.name}
-    if job.files is not None:
-        local_features.complete(job.files, names)
-    sidecar = names | {
-        "key": job.key.partition("+")[0],
-        "shape": [n, entry.dimension],
+
+def _check_room(place: Stored) -> None:
+    """Say before any work that the disk has no room for the descriptors, in parts and then in one file."""
+    if place.is_complete:
+        return
+    n, d = place.parts.n, *place.parts.shape
+    needed, free = place.parts.missing_bytes() + 4 * n * d, free_bytes(place.path.parent)
+    if needed > free:
+        raise store.StoreError(
+            f"{place.path.parent}: no room for {n} descriptors of {d} dimensions: {in_words(needed)} are needed, "
+            f"{in_words(free)} are free; make room, or set {CACHE_VARIABLE} to a folder elsewhere"
+        )
+
+
+def _assemble(
+    place: Stored,
+    traversal: Traversal,
+    method: str,
+    entry: MethodEntry,
+    precision: str,
+    make: Callable[[], object],
+) -> dict[str, Any]:
+    """Make one file of the parts of the descriptors; its record, which is returned, completes it."""
+    assemble(place.parts, place.path, make)
+    record = {
+        "method": method,
+        "dataset": traversal.dataset,
+        "traversal": traversal.name,
+        "key": place.key,
+        "shape": [place.parts.n, *place.parts.shape],
         "images": traversal.digest,
         "revision": REVISION,
-        "precision": job.precision,
+        "precision": precision,
         "preprocessing": entry.preprocessing.model_dump(),
         "batch_size": entry.batch_size,
-        "images_at_once": work.at_once or entry.batch_size,
-        "device": ", ".join(map(str, devices)),
-        "torch": torch.__version__,
-        "machine": platform.machine(),
-        "seconds": round(time.monotonic() - begun, 3),
-        "forward_seconds": round(work.seconds, 3),
     }
-    partial.complete(job.path, sidecar)
+    parts = [place.parts.record(number) for number in range(len(place.parts))]
+    record["images_at_once"] = min(part["images_at_once"] for part in parts)
+    for name in ("device", "torch", "machine"):
+        record[name] = ", ".join(dict.fromkeys(part[name] for part in parts))
+    for name in ("seconds", "forward_seconds"):
+        record[name] = round(sum(part[name] for part in parts), 3)
+    return store.seal(place.path, record)
+
+
+def _label(method: str, traversal: Traversal) -> str:
+    return f"{method} · {traversal.dataset}/{traversal.name}"

@@ -1,4 +1,4 @@
-"""A model on one device: prepared batches to descriptors, in smaller parts where memory is short."""
+"""A model on one device: prepared batches to descriptors, in halves where memory is short."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import torch
+from torch import nn
 
+from artifact.extraction import local_features
 from artifact.extraction.reading import ExtractionError, Prepared
 from artifact.manifest.entries import MethodEntry
 
@@ -18,18 +20,10 @@ _NEARLY_UNIT = 0.02  # bfloat16 has eight bits of mantissa
 
 
 def devices(text: str | torch.device | None) -> list[torch.device]:
-    """Return the devices that a text names.
+    """Return the devices that a text names, or raise ``ExtractionError`` if one is not on this machine.
 
-    Parameters
-    ----------
-    text
-        One device (``"cpu"``, ``"cuda"``, ``"cuda:1"``), several with commas between, ``"all"`` (all CUDA devices), or
-        ``None``: the first CUDA device. ``"all"`` and ``None`` take the CPU where there is no CUDA.
-
-    Raises
-    ------
-    ExtractionError
-        If a device is unknown or not on this machine.
+    It is one device (``"cpu"``, ``"cuda"``, ``"cuda:1"``), several with commas between, ``"all"`` (all CUDA devices), or
+    ``None``: the first CUDA device. ``"all"`` and ``None`` take the CPU where there is no CUDA.
 
     Examples
     --------
@@ -65,48 +59,54 @@ def _device(name: str, count: int) -> torch.device:
 class Forward:
     """Descriptors of batches by one model on one device.
 
-    Parameters
-    ----------
-    model
-        The model, already on the device, or a method of it that gives a second output: images to descriptors, or to
-        descriptors and another tensor with one row for each image.
-    entry
-        The method's manifest entry.
-    device
-        Where to compute.
-    precision
-        ``"float32"``: the products too are computed in float32, never in TF32. ``"bfloat16"`` or ``"float16"``: mixed
-        precision by :class:`torch.autocast`. Descriptors are float32 always.
+    The model, already on the device, turns images into descriptors, or into descriptors and another tensor with one row for
+    each image. In the precision ``"float32"`` products too are computed in float32, never in TF32; ``"bfloat16"`` and
+    ``"float16"`` are mixed precision by :class:`torch.autocast`. Descriptors are float32 always.
 
     Attributes
     ----------
+    described
+        The methods whose descriptors the first outputs are: one, or several of one trunk.
     at_once
         Images that the model takes at once since memory ran out; ``None`` as long as it has not.
+    seconds
+        Time spent in the model, as far as whoever uses it adds it up.
     """
 
-    def __init__(self, model: Model, entry: MethodEntry, device: torch.device, precision: str = "float32") -> None:
-        self._model, self._entry, self._device, self._precision = model, entry, device, precision
+    def __init__(
+        self,
+        model: Model,
+        entry: MethodEntry,
+        device: torch.device,
+        precision: str = "float32",
+        described: Sequence[MethodEntry] | None = None,
+    ) -> None:
+        self._model, self.entry, self.device, self._precision = model, entry, device, precision
+        self.described = [entry] if described is None else described
         self.at_once: int | None = None
+        self.seconds = 0.0
+
+    @classmethod
+    def of(cls, model: nn.Module, entry: MethodEntry, device: torch.device, precision: str, label: str) -> Forward:
+        """Bring a method's model to a device, with the second output that its manifest entry asks for."""
+        layout = local_features.layout_of(entry)
+        model = model.to(device)
+        outputs = model if layout is None else local_features.both_outputs(model, layout, label)
+        return cls(outputs, entry, device, precision)
 
     def __call__(self, images: Prepared) -> tuple[torch.Tensor, ...]:
-        """Describe one batch: ``(b, d)`` float32, and the second output if there is one.
-
-        They are on the device, perhaps still being computed there.
+        """Describe one batch: ``(b, d)`` float32, and the second output if there is one, perhaps still being computed.
 
         Images of different sizes go one by one. Where memory runs out, the batch goes in halves, and so do all later
-        ones; a warning says so once for each halving.
-
-        Raises
-        ------
-        ExtractionError
-            If memory runs out with a single image, or with a batch of a method whose descriptors depend on it.
+        ones; a warning says so once for each halving. Raises ``ExtractionError`` if memory runs out with a single image, or
+        with a batch of a method whose descriptors depend on it.
         """
         if isinstance(images, np.ndarray):
             return self._described(images)
-        if self._entry.batch_dependent:
+        if self.entry.batch_dependent:
             sizes = sorted({f"{image.shape[1]} × {image.shape[2]}" for image in images})
             raise ExtractionError(
-                f"{self._entry.title}: the images of a batch have different sizes ({', '.join(sizes)}). Its "
+                f"{self.entry.title}: the images of a batch have different sizes ({', '.join(sizes)}). Its "
                 f"descriptors depend on the images that share a batch, so they cannot go singly; use 'resize: fixed'"
             )
         return _joined([self._described(image[None]) for image in images])
@@ -125,10 +125,10 @@ class Forward:
 
     def _run(self, images: np.ndarray) -> tuple[torch.Tensor, ...]:
         batch = torch.from_numpy(images)
-        if self._device.type == "cuda":
+        if self.device.type == "cuda":
             batch = batch.pin_memory()
-        with torch.inference_mode(), numerics(self._device, self._precision):
-            outputs = self._model(batch.to(self._device, non_blocking=True))
+        with torch.inference_mode(), numerics(self.device, self._precision):
+            outputs = self._model(batch.to(self.device, non_blocking=True))
             outputs = outputs if isinstance(outputs, tuple) else (outputs,)
             return tuple(self._float32(output) if output.is_floating_point() else output for output in outputs)
 
@@ -141,25 +141,25 @@ class Forward:
         return torch.where((length - 1).abs() < _NEARLY_UNIT, output / length, output)
 
     def _take_fewer(self, size: int, image_size: Sequence[int], reason: str) -> None:
-        if self._device.type == "cuda":
+        if self.device.type == "cuda":
             torch.cuda.empty_cache()
-        title, height, width = self._entry.title, *image_size
-        if self._entry.batch_dependent:
+        title, height, width = self.entry.title, *image_size
+        if self.entry.batch_dependent:
             raise ExtractionError(
-                f"{title}: {self._device} has too little memory for a batch of {size} images ({reason}). A smaller "
+                f"{title}: {self.device} has too little memory for a batch of {size} images ({reason}). A smaller "
                 f"batch would give other descriptors: those of {title} depend on the images that share a batch, and "
-                f"the protocol says {self._entry.batch_size}. Use a device with more memory, or the CPU (--devices "
+                f"the protocol says {self.entry.batch_size}. Use a device with more memory, or the CPU (--devices "
                 f"cpu), or mixed precision (--precision bfloat16)"
             )
         if size == 1:
             raise ExtractionError(
-                f"{title}: {self._device} has too little memory for one image of {height} × {width} pixels ({reason}). "
+                f"{title}: {self.device} has too little memory for one image of {height} × {width} pixels ({reason}). "
                 f"Use a device with more memory, or the CPU (--devices cpu), or mixed precision (--precision "
                 f"bfloat16), or set 'longest_side' in the method's preprocessing"
             )
         self.at_once = (size + 1) // 2
         warnings.warn(
-            f"{title}: {self._device} has too little memory for {size} images at once; going on with {self.at_once}",
+            f"{title}: {self.device} has too little memory for {size} images at once; going on with {self.at_once}",
             RuntimeWarning,
             stacklevel=4,
         )

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from artifact import store
+from artifact.datasets import imported
 from artifact.manifest import Manifest
 from artifact.manifest.entries import DatasetEntry
 
@@ -59,10 +60,7 @@ def strengths() -> dict[tuple[str, str], Strength]:
 def make(manifest: Manifest, profile: str) -> None:
     """Write positions and descriptors of all datasets of a profile that asks for made ones, where they are missing.
 
-    Parameters
-    ----------
-    manifest
-        As from :meth:`artifact.manifest.Manifest.for_profile`.
+    What an imported results bundle records is not made. The manifest is as from :meth:`artifact.manifest.Manifest.for_profile`.
     """
     entry = manifest.profile(profile)
     for name in entry.datasets if entry.made else ():
@@ -70,23 +68,25 @@ def make(manifest: Manifest, profile: str) -> None:
         folder = Path(str(dataset.root))
         with store.lock(folder):
             for traversal in dataset.traversals:
-                _write_traversal(manifest, name, dataset, traversal, folder)
+                if imported.traversal(manifest, name, traversal) is None:
+                    _write_traversal(manifest, name, dataset, traversal, folder)
 
 
 def _write_traversal(manifest: Manifest, name: str, entry: DatasetEntry, traversal: str, folder: Path) -> None:
     along, positions = route(entry, traversal)
     described = entry.traversals[traversal]
     table = folder / str(described.positions_file)
-    if not table.exists():
+    if store.find(table) is None:
         with store.replacing(table) as temporary:
             temporary.write_text(_positions_csv(positions, entry.threshold.unit), encoding="utf-8")
+        store.seal(table, {"dataset": name})
     recorded = strengths()
     for method, file in described.descriptors.items():
         strength = recorded[entry.reported_as or name, method]
-        if not (folder / file).exists():
+        if store.find(folder / file) is None:
             _save(folder / file, descriptors(entry, traversal, method, along, strength))
     for method, file in described.second_stage.items():
-        if not (folder / file).exists():
+        if store.find(folder / file) is None:
             strength = recorded[entry.reported_as or name, method]
             local = manifest.method(method).local_features is not None
             second = local_features if local else codes
@@ -96,6 +96,7 @@ def _write_traversal(manifest: Manifest, name: str, entry: DatasetEntry, travers
 def _save(path: Path, values: np.ndarray) -> None:
     with store.replacing(path) as temporary, temporary.open("wb") as stream:
         np.save(stream, values)
+    store.seal(path, {"dataset": path.parent.name})
 
 
 def _positions_csv(positions: np.ndarray, unit: str) -> str:
@@ -105,19 +106,10 @@ def _positions_csv(positions: np.ndarray, unit: str) -> str:
 
 
 def route(entry: DatasetEntry, traversal: str, images: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the images of a traversal are.
+    """Return where the images of a traversal are; by default as many are on the route as a rehearsal needs.
 
-    Parameters
-    ----------
-    images
-        Their number on the route; by default as many as a rehearsal needs.
-
-    Returns
-    -------
-    along
-        ``(n,)`` place along the route in units of the threshold; places off the route are far beyond its end.
-    positions
-        ``(n, 2)`` metres, or ``(n, 1)`` frames or pairs.
+    The first array, ``(n,)``, has their places along the route in units of the threshold; places off the route are far beyond
+    its end. The second has positions: ``(n, 2)`` metres, or ``(n, 1)`` frames or pairs.
     """
     unit, n = entry.threshold.unit, images or _IMAGES[entry.threshold.unit]
     if unit != "metres":

@@ -1,4 +1,9 @@
-"""Image files → prepared batches, read ahead of the model by worker processes."""
+"""Image files → prepared batches, read ahead of the model by other processes.
+
+Each process has a pipe of its own, so that its death is noticed at once: with a queue that several share, as that of a
+PyTorch ``DataLoader``, the model waits for ever for the rest of a batch that a killed process has sent in part. Batches travel as
+NumPy arrays: tensors would go through shared memory, of which containers have little by default.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +14,16 @@ import signal
 import sys
 import threading
 import types
-from collections import deque
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from artifact import store
 from artifact.datasets.images import UnreadableImageError, read_image
 from artifact.manifest.entries import Preprocessing
 
@@ -28,13 +35,7 @@ _MOST_WORKERS = 16
 
 
 class ExtractionError(RuntimeError):
-    """Descriptors that cannot be made; the message names every image at fault.
-
-    Attributes
-    ----------
-    unreadable
-        A message for each image that cannot be read.
-    """
+    """Descriptors that cannot be made; the message names every image at fault, ``unreadable`` has one for each."""
 
     def __init__(self, message: str, unreadable: Sequence[str] = ()) -> None:
         super().__init__(message)
@@ -46,46 +47,71 @@ def read_batches(
 ) -> Iterator[tuple[Prepared, list[str]]]:
     """Yield prepared batches in order, a few of them read ahead.
 
-    Parameters
-    ----------
-    batches
-        Image files of each batch.
-    preprocessing
-        How an image becomes the model's input.
-    workers
-        Processes that read; ``None`` takes :func:`default_workers`; 0 reads in this process when a batch is asked for.
-
-    Yields
-    ------
-    images
-        The batch.
-    errors
-        One message for each image that cannot be read; those images are not in ``images``.
+    ``workers`` is the number of processes that read; ``None`` takes :func:`default_workers`, and 0 reads in this process when
+    a batch is asked for. With a batch comes a message for each of its images that cannot be read and so is not in it. Where
+    one of the processes dies, others take their place once; then ``ExtractionError`` is raised.
     """
-    workers = default_workers() if workers is None else workers
-    workers = min(workers, len(batches))
-    if workers == 0:
-        for batch in batches:
-            yield prepare_batch(batch, preprocessing)
+    workers = min(default_workers() if workers is None else workers, len(batches))
+    if not workers:
+        for paths in batches:
+            yield prepare_batch(paths, preprocessing)
         return
-    with ProcessPoolExecutor(workers, mp_context=process_context(), initializer=_start_worker) as pool:
-        waiting: deque[Future[tuple[Prepared, list[str]]]] = deque()
-        try:
-            for batch in batches:
-                with main_unseen():
-                    waiting.append(pool.submit(prepare_batch, batch, preprocessing))
-                if len(waiting) > workers + 2:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            for future in waiting:
-                future.cancel()
+    readers: dict[int, tuple[BaseProcess, Connection]] = {}
+    died = ""
+    try:
+        for number in range(workers):
+            readers[number] = _start(batches[number::workers], preprocessing)
+        for number in range(len(batches)):
+            prepared = None
+            while prepared is None:
+                try:
+                    prepared = readers[number % workers][1].recv()
+                except (EOFError, OSError):
+                    if died:
+                        raise ExtractionError(f"{died}, and so has another; memory may be short. Run again") from None
+                    died = f"a process that reads images has ended (exit status {_end(*readers[number % workers])})"
+                    store.say(f"{died}; another takes its place")
+                    readers[number % workers] = _start(batches[number::workers], preprocessing)
+            if isinstance(prepared, Exception):
+                raise prepared
+            yield prepared
+    finally:
+        for reader in readers.values():
+            _end(*reader)
 
 
-def default_workers(shards: int = 1) -> int:
-    """Return the number of reading processes for each of several shards: all cores but one, shared, at most 16."""
-    return max(1, min(_MOST_WORKERS, ((os.cpu_count() or 2) - 1) // shards))
+def _start(batches: Sequence[Sequence[Path]], preprocessing: Preprocessing) -> tuple[BaseProcess, Connection]:
+    """Start a process that prepares some batches, each while the one before is on its way."""
+    context = process_context()
+    ours, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=_serve, args=(theirs, batches, preprocessing), daemon=True)
+    with main_unseen():
+        process.start()
+    theirs.close()  # so that its death is the end of the pipe
+    return process, ours
+
+
+def _serve(connection: Connection, batches: Sequence[Sequence[Path]], preprocessing: Preprocessing) -> None:
+    _start_worker()
+    with contextlib.suppress(BrokenPipeError):  # nobody wants more
+        for paths in batches:
+            try:
+                prepared: Any = prepare_batch(paths, preprocessing)
+            except Exception as error:
+                prepared = error
+            connection.send(prepared)
+
+
+def _end(process: BaseProcess, connection: Connection) -> int | None:
+    connection.close()
+    process.terminate()
+    process.join()
+    return process.exitcode
+
+
+def default_workers(devices: int = 1) -> int:
+    """Return the number of reading processes for each of several devices: all cores but one, shared, at most 16."""
+    return max(1, min(_MOST_WORKERS, ((os.cpu_count() or 2) - 1) // devices))
 
 
 def prepare_batch(paths: Sequence[Path], preprocessing: Preprocessing) -> tuple[Prepared, list[str]]:

@@ -23,7 +23,7 @@ import numpy as np
 from PIL import Image
 
 from artifact import methods, store
-from artifact.extraction import local_features, reading
+from artifact.extraction import reading
 from artifact.extraction.disk import in_words
 from artifact.manifest import Manifest
 from artifact.manifest.entries import MethodEntry
@@ -45,20 +45,11 @@ _LIBRARIES = ("numpy", "scipy", "torch", "numba", "scikit-learn", "umap-learn", 
 
 @dataclass(frozen=True)
 class Timing:
-    """What a trial measured.
+    """What a trial measured; ``None`` where it could not.
 
-    Attributes
-    ----------
-    forward
-        Seconds of the model for an image; ``None`` if it was not measured.
-    reading
-        Seconds of one core to decode and prepare an image.
-    memory
-        Peak bytes for a whole batch: of the process, or on CUDA of the device.
-    reader_memory
-        Bytes of a process that reads images.
-    note
-        What was timed (``"a batch of 16"``), or why nothing was.
+    ``forward`` is in seconds of the model for an image, ``reading`` in seconds of one core to decode and prepare it. ``memory`` is
+    the peak in bytes for a whole batch, of the process or on CUDA of the device; ``reader_memory`` that of a process that
+    reads. ``note`` says what was timed (``"a batch of 16"``), or why nothing was.
     """
 
     forward: float | None
@@ -66,9 +57,6 @@ class Timing:
     memory: float | None
     reader_memory: float | None
     note: str = ""
-
-
-# -- what a trial measures with -----------------------------------------------------------------------------
 
 
 def best_of(function: Callable[[], object], repeats: int = 3) -> float:
@@ -129,10 +117,8 @@ def untrained(method: str, entry: MethodEntry, device: torch.device, precision: 
     """Return a method's model, ready to describe batches: trained weights change neither time nor memory."""
     from artifact.extraction.forward import Forward
 
-    model = (methods.build(method) if entry.builder is None else methods.model_of(method, entry)).to(device)
-    layout = local_features.layout_of(entry)
-    outputs = model if layout is None else local_features.both_outputs(model, layout, method)
-    return Forward(outputs, entry, device, precision)
+    model = methods.build(method) if entry.builder is None else methods.model_of(method, entry)
+    return Forward.of(model, entry, device, precision, method)
 
 
 def photograph(height: int, width: int, seed: int = 0) -> Image.Image:
@@ -152,18 +138,11 @@ def photograph(height: int, width: int, seed: int = 0) -> Image.Image:
     return Image.fromarray(pixels.clip(0, 255).astype(np.uint8))
 
 
-# -- trials -------------------------------------------------------------------------------------------------
-
-
 def in_own_process(function: Callable[..., Any], *arguments: Any, limit: float = LIMIT_SECONDS) -> Any:
     """Return what a function gives that runs in a new process, with as many threads as here.
 
-    Raises
-    ------
-    TimeoutError
-        If it takes longer than the limit.
-    RuntimeError
-        If it fails, with the first line of the reason, or if its process is ended.
+    Raises ``TimeoutError`` if it takes longer than the limit in seconds, and ``RuntimeError`` with the first line of the
+    reason if it fails or its process is ended.
     """
     import torch
 
@@ -207,18 +186,9 @@ def time_method(
     precision: str = "float32",
     limit: float = LIMIT_SECONDS,
 ) -> Timing:
-    """Time a method on a made-up photograph, after a warm-up.
+    """Time a method on a made-up photograph of a height and width in pixels, after a warm-up.
 
-    Parameters
-    ----------
-    method, entry
-        The method's name and its manifest entry.
-    image_size
-        Height and width of the photograph in pixels, before the method's own preprocessing.
-    device, precision
-        As for extraction.
-    limit
-        Seconds after which the trial is given up.
+    The size is that before the method's own preprocessing; after the limit in seconds the trial is given up.
     """
     weights, free = _weights_bytes(method, entry), available_memory()
     least = None if weights is None else 1.1 * weights + _OVERHEAD
@@ -268,22 +238,14 @@ def _trial(
     return Timing(seconds, read, peak_memory(device), reader, note)
 
 
-# -- what is kept -------------------------------------------------------------------------------------------
-
-
 class Trials:
-    """Trials on this machine, each made once; in a file they outlast the process.
-
-    Parameters
-    ----------
-    path
-        The file; ``None`` keeps them in memory.
-    """
+    """Trials on this machine, each made once; in a file, if one is given, they outlast the process."""
 
     def __init__(self, path: Path | None = None) -> None:
-        self._path, self._machine = path, machine()
-        self._kept: dict[str, Any] = store.read_json(path) if path and path.exists() else {}
-        self._failed: dict[str, Any] = {}
+        machine = {"node": platform.node(), "processor": platform.machine(), "cores": os.cpu_count()}
+        self._machine = machine | {"versions": {name: version(name) for name in _LIBRARIES}}
+        self._path, self._failed = path, set[str]()
+        self._kept: dict[str, Any] = store.remembered(path) if path else {}
 
     def __call__(self, measure: Callable[[], Any], failed: Callable[[Any], bool], **inputs: Any) -> Any:
         """Return what was measured for these inputs on this machine with these libraries, or measure it.
@@ -291,17 +253,13 @@ class Trials:
         A failed trial is not kept in the file: the next process tries again.
         """
         key = store.key(machine=self._machine, **inputs)
-        for kept in (self._kept, self._failed):
-            if key in kept:
-                return kept[key]
-        measured = measure()
-        if failed(measured):
-            self._failed[key] = measured
-        else:
-            self._kept[key] = measured
-            if self._path is not None:
-                store.write_json(self._path, self._kept)
-        return measured
+        if key not in self._kept:
+            self._kept[key] = measure()
+            if failed(self._kept[key]):
+                self._failed.add(key)
+            elif self._path is not None:
+                store.write_json(self._path, {k: v for k, v in self._kept.items() if k not in self._failed})
+        return self._kept[key]
 
     def of_method(
         self, method: str, entry: MethodEntry, image_size: tuple[int, int], device: torch.device, precision: str
@@ -321,12 +279,6 @@ class Trials:
         return Timing(**measured)
 
 
-def machine() -> dict[str, Any]:
-    """Return what a measurement holds for: the machine, its cores and the versions of the libraries."""
-    versions = {name: version(name) for name in _LIBRARIES}
-    return {"node": platform.node(), "processor": platform.machine(), "cores": os.cpu_count(), "versions": versions}
-
-
 def store_times(manifest: Manifest, names: Sequence[str], device: torch.device) -> Iterator[str]:
     """Time methods on a photograph of 480 × 640 pixels and keep that for Table II; yields a line for each."""
     times = stored_times(manifest)
@@ -340,8 +292,7 @@ def store_times(manifest: Manifest, names: Sequence[str], device: torch.device) 
 
 def stored_times(manifest: Manifest) -> dict[str, Any]:
     """Return what :func:`store_times` measured on this machine, by method."""
-    path = _times_path(manifest)
-    return store.read_json(path) if path.exists() else {}
+    return store.remembered(_times_path(manifest))
 
 
 def _times_path(manifest: Manifest) -> Path:
