@@ -11,18 +11,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
-from artifact.ranking.one_pass import evaluated_queries, squared_norms
+from artifact.datasets.positives import as_columns
+from artifact.ranking.compiled import compiled, threads
+from artifact.ranking.one_pass import evaluated_queries
+from artifact.ranking.similarity import Looks, described, views_of
 
 Scores = Callable[[Any, np.ndarray, Any, np.ndarray], np.ndarray]
 """Second stage: ``(queries, query rows, images, image rows)`` to ``(p,)`` scores, larger is better."""
 
 POSITIVE, DATABASE, DISTRACTOR = 0, 1, 2
 
+_DATABASE = None  # its key among the pools, which have names
 _BLOCK = 64  # queries whose pairs are scored together
 
 
@@ -51,18 +55,15 @@ class Images:
     @classmethod
     def of(cls, first: np.ndarray, second: Any, positions: np.ndarray) -> Images:
         """Check and combine what is known of the images, or raise ``ValueError``."""
-        where = np.asarray(positions, np.float64)
-        where = where[:, None] if where.ndim == 1 else where
+        where = as_columns(positions)
         if not len(first) == len(second) == len(where) > 0:
-            raise ValueError(
-                f"first stage, second stage and positions are of {len(first)}, {len(second)} and {len(where)} images; "
-                f"all three must be of the same images, at least one"
+            found = (
+                f"first stage, second stage and positions are of {len(first)}, {len(second)} and {len(where)} images"
             )
+            raise ValueError(f"{found}; all three must be of the same images, at least one")
         if first.ndim != 2 or first.dtype not in (np.float32, np.float16, np.uint8):
-            raise ValueError(
-                f"the first stage takes descriptors (n, d) of float32 or float16 or packed codes (n, bytes) of uint8; "
-                f"found {first.dtype} {first.shape}"
-            )
+            allowed = "descriptors (n, d) of float32 or float16 or packed codes (n, bytes) of uint8"
+            raise ValueError(f"the first stage takes {allowed}; found {first.dtype} {first.shape}")
         return cls(first, second, np.ascontiguousarray(where), np.arange(len(where)))
 
     def __len__(self) -> int:
@@ -76,8 +77,9 @@ class Images:
 class Entries(NamedTuple):
     """Possible candidates of one query in first-stage order: by similarity, then kind, then index.
 
-    ``kind`` is int8: positive, other database image, or distractor; ``image`` its int64 index in the database or pool; ``first`` and
-    ``second`` the float32 scores of the stages; ``keys`` ``(e, k)`` float64 keys of the distractors, 0 for database images.
+    ``kind`` is int8: positive, other database image, or distractor; ``image`` its int64 index in the database or pool;
+    ``first`` and ``second`` the float32 scores of the stages; ``keys`` ``(e, k)`` float64 keys of the distractors, 0
+    for database images.
     """
 
     kind: np.ndarray
@@ -88,7 +90,7 @@ class Entries(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """The evaluated queries and the database, N, and the rows of the ``positives`` of query i: from ``starts[i]`` on."""
+    """The evaluated queries and the database, N, and the ``positives`` of query i: from ``starts[i]`` on."""
 
     queries: Images
     evaluated: np.ndarray
@@ -104,30 +106,41 @@ class Problem(NamedTuple):
         evaluated, starts, positives = evaluated_queries(queries.positions, database.positions, threshold)
         return cls(queries.take(evaluated), evaluated, database, starts, positives, threshold, candidates)
 
+    def part(self, rows: slice) -> Problem:
+        """Return the problem of some of the evaluated queries, from a row up to another."""
+        starts = self.starts[rows.start : rows.stop + 1]
+        return self._replace(
+            queries=self.queries.take(rows),
+            evaluated=self.evaluated[rows],
+            starts=starts - starts[0],
+            positives=self.positives[starts[0] : starts[-1]],
+        )
+
 
 def scored_entries(
     problem: Problem, pools: Mapping[str, Images | None], scores: Scores, orders: np.ndarray | None = None
 ) -> Iterator[tuple[int, dict[str, Entries]]]:
-    """Yield each query with its possible candidates, by pool: from the database and the pool, scored by the second stage.
+    """Yield each query with its possible candidates, by pool: from database and pool, scored by the second stage.
 
-    ``None`` as a pool is no distractors. ``orders`` is ``None`` for all distractors at once, else ``(pool, draws)`` places of
-    the images of the only pool in random orders: entries then suffice for any first part of each order and for any minimum
-    distance, and their keys are the places, followed by the negative distance. Each pair is scored once.
+    ``None`` as a pool is no distractors. ``orders`` is ``None`` for all distractors at once, else ``(pool, draws)``
+    places of the images of the only pool in random orders: entries then suffice for any first part of each order and
+    for any minimum distance, and their keys are the places, then the negative distance. Pairs are scored once.
     """
-    database = _comparable(problem.database.first)
-    compared = {name: _comparable(pool.first) for name, pool in pools.items() if pool is not None}
-    wanted = _comparable(problem.queries.first)
-    for start in range(0, len(wanted), _BLOCK):
-        block = range(start, min(start + _BLOCK, len(wanted)))
-        rows = wanted[block.start : block.stop]
-        near = [_from_database(problem, query, row) for query, row in zip(block, rows @ database.T, strict=True)]
+    others = {name: pool.first for name, pool in pools.items() if pool is not None}
+    similarities = _similarities(problem.queries.first, {_DATABASE: problem.database.first} | others)
+    for start in range(0, len(problem.queries), _BLOCK):
+        block = range(start, min(start + _BLOCK, len(problem.queries)))
+        rows = slice(block.start, block.stop)
+        near = [
+            _from_database(problem, query, row) for query, row in zip(block, similarities[_DATABASE](rows), strict=True)
+        ]
         _score(problem, block, near, problem.database, scores)
         found = dict.fromkeys(pools, near)
         for name, pool in pools.items():
             if pool is not None:
                 far = [
                     _from_pool(problem, query, row, pool, orders, entries)
-                    for query, row, entries in zip(block, rows @ compared[name].T, near, strict=True)
+                    for query, row, entries in zip(block, similarities[name](rows), near, strict=True)
                 ]
                 _score(problem, block, far, pool, scores)
                 found[name] = [_merged(*both) for both in zip(near, far, strict=True)]
@@ -135,11 +148,25 @@ def scored_entries(
             yield query, {name: entries[place] for name, entries in found.items()}
 
 
-def _comparable(first: np.ndarray) -> np.ndarray:
-    """Return float32 rows whose dot product orders images as the first stage does."""
-    if first.dtype == np.uint8:  # +1 and -1: the product, exact, is the number of bits less twice the Hamming distance
-        return 2.0 * np.unpackbits(first, axis=1).astype(np.float32) - 1.0
-    return (first / np.sqrt(squared_norms(first))[:, None]).astype(np.float32)
+def _similarities(
+    queries: np.ndarray, sets: Mapping[str | None, np.ndarray]
+) -> dict[str | None, Callable[[slice], np.ndarray]]:
+    """Return what gives the first-stage similarities of some queries to each set, the same on every machine."""
+    if queries.dtype == np.uint8:
+        return {name: partial(_of_codes, _signs(queries), _signs(codes)) for name, codes in sets.items()}
+    with threads() as executor:
+        ours, *theirs = (views_of(rows, {"": None})[""] for rows in described([queries, *sets.values()], executor))
+        looks = {name: Looks(ours, images, "cosine", executor) for name, images in zip(sets, theirs, strict=True)}
+    return {name: one.table for name, one in looks.items()}
+
+
+def _of_codes(queries: np.ndarray, images: np.ndarray, rows: slice) -> np.ndarray:
+    return queries[rows] @ images.T
+
+
+def _signs(codes: np.ndarray) -> np.ndarray:
+    """Return +1 and -1: their product, exact, is the number of bits less twice the Hamming distance."""
+    return 2.0 * np.unpackbits(codes, axis=1).astype(np.float32) - 1.0
 
 
 def _from_database(problem: Problem, query: int, similarity: np.ndarray) -> Entries:
@@ -155,8 +182,7 @@ def _from_database(problem: Problem, query: int, similarity: np.ndarray) -> Entr
     others = others[np.arange(len(others)) + _above(similarities, of_others) < n]
     kind = np.repeat(np.array([POSITIVE, DATABASE], np.int8), [len(positives), len(others)])
     index = np.concatenate([positives, others])
-    keys = np.zeros((len(index), 0))
-    return _sorted(Entries(kind, index, similarity[index], np.empty(len(index), np.float32), keys))
+    return _sorted(_not_scored(kind, index, similarity, np.zeros((len(index), 0))))
 
 
 def _from_pool(
@@ -170,20 +196,19 @@ def _from_pool(
     members = np.flatnonzero((apart > problem.threshold) & (similarity > floor))
     members = _leading(similarity, members, n if orders is None else len(members))
     similarities = similarity[members]
-    before = (
-        len(others)
-        - np.searchsorted(others[::-1], similarities)
-        + _above(near.first[near.kind == POSITIVE], similarities)
-    )
+    before = len(others) - np.searchsorted(others[::-1], similarities)
+    before += _above(near.first[near.kind == POSITIVE], similarities)
     if orders is None:
-        keys = np.zeros((len(members), 0))
-        members = members[np.arange(len(members)) + before < n]
+        keys, kept = np.zeros((len(members), 0)), np.arange(len(members)) + before < n
     else:
         keys = np.column_stack([orders[members], -apart[members]])
-        reachable = _reachable(before, keys, n)
-        members, keys = members[reachable], keys[reachable]
-    kind = np.full(len(members), DISTRACTOR, np.int8)
-    return Entries(kind, members, similarity[members], np.empty(len(members), np.float32), keys[: len(members)])
+        kept = _reachable(before, keys, n)
+    members = members[kept]
+    return _not_scored(np.full(len(members), DISTRACTOR, np.int8), members, similarity, keys[kept])
+
+
+def _not_scored(kind: np.ndarray, index: np.ndarray, similarity: np.ndarray, keys: np.ndarray) -> Entries:
+    return Entries(kind, index, similarity[index], np.empty(len(index), np.float32), keys)
 
 
 def _leading(similarity: np.ndarray, members: np.ndarray, n: int) -> np.ndarray:
@@ -199,13 +224,10 @@ def _above(descending: np.ndarray, similarities: np.ndarray) -> np.ndarray:
     return len(descending) - np.searchsorted(descending[::-1], similarities, side="right")
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _reachable(before: np.ndarray, keys: np.ndarray, n: int) -> np.ndarray:
-    """Tell which distractors, in first-stage order, are candidates at some point of at least one sweep.
-
-    ``before`` is the number of database images before each, ``keys`` ``(images, sweeps)``. A distractor that is added
-    comes with all of smaller or equal keys; it is a candidate then or never.
-    """
+    """Tell which distractors, in first-stage order and each behind some images, are ever candidates in a sweep."""
+    # A distractor that is added comes with all of smaller or equal keys; it is a candidate then or never.
     sweeps = keys.shape[1]
     smallest, filled = np.empty((sweeps, n)), np.zeros(sweeps, np.int64)
     reachable = np.zeros(before.size, np.bool_)
@@ -239,10 +261,8 @@ def _score(problem: Problem, block: range, parts: list[Entries], images: Images,
     values = scores(problem.queries.second, owners, images.second, images.rows[index])
     if not np.isfinite(values).all():
         pair = int(np.flatnonzero(~np.isfinite(values))[0])
-        raise ValueError(
-            f"the second stage scores query {owners[pair]} and image {images.rows[index[pair]]} as {values[pair]}; "
-            f"scores must be finite"
-        )
+        scored = f"query {owners[pair]} and image {images.rows[index[pair]]} as {values[pair]}"
+        raise ValueError(f"the second stage scores {scored}; scores must be finite")
     for entries, found in zip(parts, np.split(values, np.cumsum(lengths)[:-1]), strict=True):
         entries.second[:] = found
 

@@ -1,9 +1,10 @@
-"""Counting in one tile of similarities: how many database images and distractors outrank the best positive.
+"""Counting in one tile of the first look: which images outrank the best positive, and which must be looked at again.
 
 Counting replaces sorting: a query is a hit at K exactly when fewer than K images outrank its best positive. The kernels
-are compiled by Numba for the CPU and written again in PyTorch for other devices. A similarity is
-``(value - correction) * scale + bias`` with one scale and bias per column, so that all three kinds, also of low-rank
-transformed descriptors, come from one plain matrix product.
+are compiled by Numba for the CPU and written again in PyTorch for other devices. With the level ``t`` of a query's best
+positive, an image outranks it when its inner product is above ``t * scale + bias``, with one scale and bias per image:
+``(|c|, 0)`` for cosine, ``(1, 0)`` for dot, ``(1, |c|² / 2)`` for l2. Within ``reach_q * reach_c`` of that the tile
+cannot tell: such pairs are returned for :mod:`artifact.ranking.similarity` to decide.
 """
 
 from __future__ import annotations
@@ -11,24 +12,41 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+
+from artifact.ranking.compiled import compiled
 
 _CHUNK = 128  # columns that are tested together before any of them is looked at alone
 
 
 class Tile(NamedTuple):
-    """Rows and columns of a matrix of similarities ``(values - correction) * scale + bias``.
-
-    Row ``r`` is query ``first_row + r``, column ``c`` is image ``first_column + c``. ``values`` and ``correction`` are
-    arrays of the engine, and an empty correction changes nothing; ``scale`` and ``bias`` have one value per column.
-    """
+    """Inner products of descriptors: row ``r`` is query ``first_row + r``, column ``c`` image ``first_column + c``."""
 
     values: Any
-    correction: Any
-    scale: np.ndarray
-    bias: np.ndarray
     first_row: int
     first_column: int
+
+
+class Lens(NamedTuple):
+    """How a view reads inner products of queries and one set of images, in float32.
+
+    It subtracts ``left @ right``, of ``(queries, m)`` and ``(m, images)``, m a multiple of 4. ``scale``, ``bias``,
+    ``image_reach`` and ``identity`` are per image, ``query_reach`` per query.
+    """
+
+    left: np.ndarray
+    right: np.ndarray
+    scale: np.ndarray
+    bias: np.ndarray
+    image_reach: np.ndarray
+    query_reach: np.ndarray
+    identity: np.ndarray
+
+
+class Target(NamedTuple):
+    """The best positives: their float32 levels, and their classes of equal rows."""
+
+    level: np.ndarray
+    identity: np.ndarray
 
 
 class Groups(NamedTuple):
@@ -47,25 +65,22 @@ class Places(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """Running per-query counts of one view and one distractor pool; the arrays grow tile by tile.
+    """Per-query counts of one view over the database or one distractor pool; the arrays grow tile by tile.
 
     Attributes
     ----------
-    best, best_index
-        ``(n,)`` float32 similarity, up to a factor of the query, and int64 database index of the best positive.
     outranking, ties
-        ``(n,)`` int64, images strictly above ``best`` and, among the others that are not positives, equal to it.
+        ``(n,)`` int64, images more similar than the best positive and, among those that are not positives, as similar.
     farthest
         ``(n, depth)`` float64, distances of the farthest outranking images, descending; ``-inf`` where there are fewer.
     first
-        ``(n, depth, draws)`` int32, smallest places of the outranking images in each random order, ascending; the largest
-        int32 where there are fewer.
+        ``(n, depth, draws)`` int32, smallest places of the outranking images in each random order, ascending; the
+        largest int32 where there are fewer.
     top_similarity, top_index
-        ``(n, k)`` the most similar images, descending; ``-inf`` and -1 where there are fewer.
+        ``(n, k)`` float32 and int64, the most similar images, descending, and first of equal ones the first; ``-inf`` and
+        -1 where there are fewer. Of a pool: the most similar of database and pool, whose indices follow the database's.
     """
 
-    best: np.ndarray
-    best_index: np.ndarray
     outranking: np.ndarray
     ties: np.ndarray
     farthest: np.ndarray
@@ -77,8 +92,6 @@ class Counts(NamedTuple):
     def empty(cls, n: int, depth: int, draws: int, top: int) -> Counts:
         """Return counts of nothing for ``n`` queries."""
         return cls(
-            best=np.full(n, -np.inf, np.float32),
-            best_index=np.full(n, -1, np.int64),
             outranking=np.zeros(n, np.int64),
             ties=np.zeros(n, np.int64),
             farthest=np.full((n, depth), -np.inf),
@@ -88,116 +101,110 @@ class Counts(NamedTuple):
         )
 
 
-@njit(nogil=True, cache=True)
-def _insert_descending(values: np.ndarray, labels: np.ndarray, value: float, label: int) -> None:
-    """Put a value into a descending list that is full; the last falls out, equal values keep their order."""
-    slot = values.size - 1
-    while slot > 0 and values[slot - 1] < value:
-        values[slot] = values[slot - 1]
-        labels[slot] = labels[slot - 1]
-        slot -= 1
-    values[slot] = value
-    labels[slot] = label
+@compiled()
+def near_best(
+    values: np.ndarray, lens: Lens, positives: Groups, first_row: int, rows: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pairs of queries and positives that may be the best, given the inner products of all positives."""
+    starts, members = positives
+    base = starts[first_row]
+    level, error = np.empty(values.size), np.empty(values.size)
+    queries, images, found = np.empty(values.size, np.int64), np.empty(values.size, np.int64), 0
+    for query in range(first_row, first_row + rows):
+        sure = -np.inf
+        for entry in range(starts[query] - base, starts[query + 1] - base):
+            image = members[base + entry]
+            value = np.float64(values[entry])
+            for part in range(lens.left.shape[1]):
+                value -= np.float64(lens.left[query, part]) * np.float64(lens.right[part, image])
+            reach = np.float64(lens.query_reach[query]) * np.float64(lens.image_reach[image])
+            scale = np.float64(lens.scale[image])
+            if scale > 0.0 and reach < np.inf and np.isfinite(value):
+                level[entry], error[entry] = (value - lens.bias[image]) / scale, reach / scale
+                sure = max(sure, level[entry] - error[entry])
+            else:
+                level[entry], error[entry] = 0.0, np.inf
+        for entry in range(starts[query] - base, starts[query + 1] - base):
+            if level[entry] + error[entry] >= sure:
+                queries[found], images[found] = query, members[base + entry]
+                found += 1
+    return queries[:found], images[:found]
 
 
-@njit(nogil=True, cache=True)
-def _insert_distance(values: np.ndarray, value: float) -> None:
-    slot = values.size - 1
-    while slot > 0 and values[slot - 1] < value:
-        values[slot] = values[slot - 1]
-        slot -= 1
-    values[slot] = value
+@compiled()
+def _line(tile: Tile, lens: Lens, row: int, out: np.ndarray) -> np.ndarray:
+    """Return the inner products of one tile row in a view, in ``out`` where they differ."""
+    values, query, first = tile.values[row], tile.first_row + row, tile.first_column
+    if lens.left.shape[1] == 0:
+        return values
+    for column in range(values.size):
+        out[column] = values[column]
+    end = first + values.size
+    for part in range(0, lens.left.shape[1], 4):
+        a, b = lens.left[query, part], lens.left[query, part + 1]
+        c, d = lens.left[query, part + 2], lens.left[query, part + 3]
+        # One by one: only so is the compiler sure that neighbours lie side by side.
+        p, q = lens.right[part, first:end], lens.right[part + 1, first:end]
+        r, s = lens.right[part + 2, first:end], lens.right[part + 3, first:end]
+        for column in range(values.size):
+            out[column] -= (a * p[column] + b * q[column]) + (c * r[column] + d * s[column])
+    return out
 
 
-@njit(nogil=True, cache=True)
-def _insert_places(first: np.ndarray, places: np.ndarray) -> None:
-    """Put an image's place in each random order into that order's ascending list, where it is small enough."""
-    last = first.shape[0] - 1
-    for draw in range(places.size):
-        if places[draw] < first[last, draw]:
-            slot = last
-            while slot > 0 and first[slot - 1, draw] > places[draw]:
-                first[slot, draw] = first[slot - 1, draw]
-                slot -= 1
-            first[slot, draw] = places[draw]
+@compiled()
+def count_rows(tile: Tile, lens: Lens, target: Target, groups: Groups, counts: Counts) -> np.ndarray:
+    """Count the images of a tile that surely outrank the best positives; returns the ``(m, 2)`` pairs in doubt.
 
-
-@njit(nogil=True, cache=True)
-def _similarities(tile: Tile, row: int, out: np.ndarray) -> None:
-    """Write the similarities of one tile row; an empty correction changes nothing."""
-    values, scale, bias = tile.values[row], tile.scale, tile.bias
-    if tile.correction.shape[0]:
-        correction = tile.correction[row]
-        for column in range(out.size):
-            out[column] = (values[column] - correction[column]) * scale[column] + bias[column]
-    else:
-        for column in range(out.size):
-            out[column] = values[column] * scale[column] + bias[column]
-
-
-@njit(nogil=True, cache=True)
-def _above_and_equal(similarity: np.ndarray, positive: np.floating) -> tuple[int, int]:
-    above, equal = 0, 0
-    for column in range(similarity.size):
-        above += similarity[column] > positive
-        equal += similarity[column] == positive
-    return above, equal
-
-
-@njit(nogil=True, cache=True)
-def database_rows(tile: Tile, groups: Groups, counts: Counts) -> None:
-    """Find the best positive of each row and count the columns above it and equal to it.
-
-    The tile holds every database image of its rows; ``groups`` are the positives.
+    ``groups`` are the images that do not count: positives, or what a query may not use of a pool. Everything is counted
+    and those few are taken back, so that no distance is computed.
     """
-    starts, positives = groups
-    best, best_index, outranking, ties, _, _, top_similarity, top_index = counts
+    starts, members = groups
     rows, columns = tile.values.shape
-    similarity = np.empty(columns, np.float32)
-    top = top_similarity.shape[1]
+    out, pairs, found = np.empty(columns, np.float32), np.empty((64, 2), np.int64), 0
+    scale, bias = lens.scale[tile.first_column :][:columns], lens.bias[tile.first_column :][:columns]
+    reaches, identity = lens.image_reach[tile.first_column :][:columns], lens.identity[tile.first_column :][:columns]
     for row in range(rows):
-        _similarities(tile, row, similarity)
         query = tile.first_row + row
-        positive = np.float32(-np.inf)
-        for entry in range(starts[query], starts[query + 1]):
-            if similarity[positives[entry]] > positive:
-                positive = similarity[positives[entry]]
-                best_index[query] = positives[entry]
-        above, equal = _above_and_equal(similarity, positive)
-        for entry in range(starts[query], starts[query + 1]):
-            equal -= similarity[positives[entry]] == positive
-        best[query], outranking[query], ties[query] = positive, above, equal
-        if top:
-            for column in range(columns):
-                if similarity[column] > top_similarity[query, top - 1]:
-                    _insert_descending(top_similarity[query], top_index[query], similarity[column], column)
-
-
-@njit(nogil=True, cache=True)
-def pool_counts(tile: Tile, groups: Groups, counts: Counts) -> None:
-    """Count as :func:`pool_rows`, without lists: for views whose sweeps nobody asked for.
-
-    ``groups`` are the pool images that each query may not use: everything is counted and those few are taken back, so
-    that no distance is computed.
-    """
-    starts, near = groups
-    rows, columns = tile.values.shape
-    similarity = np.empty(columns, np.float32)
-    for row in range(rows):
-        _similarities(tile, row, similarity)
-        query = tile.first_row + row
-        positive = counts.best[query]
-        above, equal = _above_and_equal(similarity, positive)
-        for entry in range(starts[query], starts[query + 1]):
-            column = near[entry] - tile.first_column
+        line = _line(tile, lens, row, out)
+        level, reach, own = target.level[query], lens.query_reach[query], members[starts[query] : starts[query + 1]]
+        total = 0
+        for begin in range(0, columns, _CHUNK):
+            end = min(begin + _CHUNK, columns)
+            above, below = 0, 0
+            for column in range(begin, end):
+                middle, width = level * scale[column] + bias[column], reach * reaches[column]
+                above += line[column] > middle + width
+                below += line[column] < middle - width
+            total += above
+            if above + below == end - begin:
+                continue
+            for column in range(begin, end):
+                middle, width = level * scale[column] + bias[column], reach * reaches[column]
+                if line[column] > middle + width or line[column] < middle - width:
+                    continue
+                image = tile.first_column + column
+                place = np.searchsorted(own, image)
+                if place < own.size and own[place] == image:
+                    continue
+                if identity[column] == target.identity[query]:
+                    counts.ties[query] += 1
+                    continue
+                if found == pairs.shape[0]:
+                    larger = np.empty((2 * found, 2), np.int64)
+                    larger[:found] = pairs
+                    pairs = larger
+                pairs[found, 0], pairs[found, 1] = query, image
+                found += 1
+        for entry in range(own.size):
+            column = own[entry] - tile.first_column
             if 0 <= column < columns:
-                above -= similarity[column] > positive
-                equal -= similarity[column] == positive
-        counts.outranking[query] += above
-        counts.ties[query] += equal
+                width = reach * reaches[column]
+                total -= line[column] > level * scale[column] + bias[column] + width
+        counts.outranking[query] += total
+    return pairs[:found]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _distances(here: np.ndarray, pool_positions: np.ndarray, begin: int, out: np.ndarray) -> None:
     """Write the distances from one position to ``out.size`` pool images from ``begin`` on."""
     for place in range(out.size):
@@ -210,64 +217,107 @@ def _distances(here: np.ndarray, pool_positions: np.ndarray, begin: int, out: np
         out[place] = np.sqrt(out[place])
 
 
-@njit(nogil=True, cache=True)
-def pool_rows(tile: Tile, places: Places, orders: np.ndarray, earliest: np.ndarray, counts: Counts) -> None:
-    """Count the allowed distractors of a tile that outrank, or are as similar as, each row's best positive.
+@compiled()
+def _insert(apart: float, image: int, farthest: np.ndarray, first: np.ndarray, orders: np.ndarray) -> None:
+    """Put an outranking image into the lists of its query: its distance, and its place in each random order."""
+    last = farthest.size - 1
+    if apart > farthest[last]:
+        slot = last
+        while slot > 0 and farthest[slot - 1] < apart:
+            farthest[slot] = farthest[slot - 1]
+            slot -= 1
+        farthest[slot] = apart
+    for draw in range(orders.shape[1]):
+        place = orders[image, draw]
+        if place < first[last, draw]:
+            slot = last
+            while slot > 0 and first[slot - 1, draw] > place:
+                first[slot, draw] = first[slot - 1, draw]
+                slot -= 1
+            first[slot, draw] = place
+
+
+@compiled()
+def sweep_rows(
+    tile: Tile, lens: Lens, target: Target, places: Places, orders: np.ndarray, earliest: np.ndarray, counts: Counts
+) -> None:
+    """Put the allowed distractors of a tile that surely outrank the best positives into the lists behind both sweeps.
 
     ``orders`` is ``(pool, draws)``: the place of each pool image in each random order, and ``earliest`` its smallest
-    place. Columns go by in chunks: the loops over a chunk have no branches, and only a chunk that changes a list is
-    looked at image by image.
+    place. The loops over a chunk have no branches; only a chunk that changes a list is looked at image by image.
     """
     positions, pool_positions, threshold = places
-    best, _, outranking, ties, farthest, first, top_similarity, top_index = counts
     rows, columns = tile.values.shape
-    similarity = np.empty(columns, np.float32)
-    distance = np.empty(_CHUNK)
-    top, depth, draws = top_similarity.shape[1], farthest.shape[1], first.shape[2]
+    out, distance = np.empty(columns, np.float32), np.empty(_CHUNK)
+    above = np.empty(_CHUNK, np.bool_)
+    last = counts.farthest.shape[1] - 1
+    scale, bias = lens.scale[tile.first_column :][:columns], lens.bias[tile.first_column :][:columns]
+    reaches = lens.image_reach[tile.first_column :][:columns]
     for row in range(rows):
-        _similarities(tile, row, similarity)
         query = tile.first_row + row
-        positive = best[query]
-        floor = min(positive, top_similarity[query, top - 1]) if top else positive
-        reached = 0
-        for column in range(columns):
-            reached += similarity[column] >= floor
-        if reached == 0:
-            continue
+        line = _line(tile, lens, row, out)
+        level, reach = target.level[query], lens.query_reach[query]
+        farthest, first = counts.farthest[query], counts.first[query]
         for begin in range(0, columns, _CHUNK):
-            values = similarity[begin : begin + _CHUNK]
-            reached = 0
-            for place in range(values.size):
-                reached += values[place] >= floor
+            size, reached = min(_CHUNK, columns - begin), 0
+            for place in range(size):
+                column = begin + place
+                outranks = line[column] > level * scale[column] + bias[column] + reach * reaches[column]
+                above[place] = outranks
+                reached += outranks
             if reached == 0:
                 continue
-            apart = distance[: values.size]
-            image = tile.first_column + begin
+            apart, image = distance[:size], tile.first_column + begin
             _distances(positions[query], pool_positions, image, apart)
-            above, equal, farther, earlier, higher = 0, 0, 0, 0, 0
-            limit = farthest[query, depth - 1]
-            latest = first[query, depth - 1].max() if draws else 0
-            shown = top_similarity[query, top - 1] if top else np.float32(np.inf)
-            for place in range(values.size):
-                allowed = apart[place] > threshold
-                outranks = allowed & (values[place] > positive)
-                above += outranks
-                equal += allowed & (values[place] == positive)
-                farther += outranks & (apart[place] > limit)
-                earlier += outranks & (earliest[image + place] < latest)
-                higher += allowed & (values[place] > shown)
-            outranking[query] += above
-            ties[query] += equal
-            if farther:
-                for place in range(values.size):
-                    if values[place] > positive and apart[place] > max(threshold, farthest[query, depth - 1]):
-                        _insert_distance(farthest[query], apart[place])
-            if earlier:
-                for place in range(values.size):
-                    if values[place] > positive and apart[place] > threshold and earliest[image + place] < latest:
-                        _insert_places(first[query], orders[image + place])
-            if higher:
-                for place in range(values.size):
-                    if apart[place] > threshold and values[place] > top_similarity[query, top - 1]:
-                        _insert_descending(top_similarity[query], top_index[query], values[place], image + place)
-                floor = min(positive, top_similarity[query, top - 1])
+            limit, latest = max(threshold, farthest[last]), first[last].max() if first.shape[1] else 0
+            changing = 0
+            for place in range(size):
+                lists = (apart[place] > limit) | ((apart[place] > threshold) & (earliest[image + place] < latest))
+                changing += above[place] & lists
+            if changing:
+                for place in range(size):
+                    news = apart[place] > farthest[last] or earliest[image + place] < latest
+                    if above[place] and apart[place] > threshold and news:
+                        _insert(apart[place], image + place, farthest, first, orders)
+
+
+@compiled()
+def sweep_pairs(pairs: np.ndarray, places: Places, orders: np.ndarray, counts: Counts) -> None:
+    """Put pairs that turned out to outrank the best positives into the lists behind both sweeps."""
+    apart = np.empty(1)
+    for pair in range(pairs.shape[0]):
+        query, image = pairs[pair, 0], pairs[pair, 1]
+        _distances(places.queries[query], places.pool, image, apart)
+        _insert(apart[0], image, counts.farthest[query], counts.first[query], orders)
+
+
+@compiled()
+def top_rows(tile: Tile, lens: Lens, groups: Groups, similarity: np.ndarray, index: np.ndarray) -> None:
+    """Merge the images of a tile that seem most similar into running lists ``(n, m)``; ``groups`` are left out."""
+    starts, members = groups
+    rows, columns = tile.values.shape
+    out, last = np.empty(columns, np.float32), similarity.shape[1] - 1
+    scale, bias = lens.scale[tile.first_column :][:columns], lens.bias[tile.first_column :][:columns]
+    for row in range(rows):
+        query = tile.first_row + row
+        line = _line(tile, lens, row, out)
+        own, values, labels = members[starts[query] : starts[query + 1]], similarity[query], index[query]
+        for begin in range(0, columns, _CHUNK):
+            end, reached, floor = min(begin + _CHUNK, columns), 0, values[last]
+            for column in range(begin, end):
+                reached += line[column] > floor * scale[column] + bias[column]
+            if reached == 0:
+                continue
+            for column in range(begin, end):
+                if line[column] > values[last] * scale[column] + bias[column]:
+                    image = tile.first_column + column
+                    place = np.searchsorted(own, image)
+                    if place < own.size and own[place] == image:
+                        continue
+                    value, slot = (line[column] - bias[column]) / scale[column], last
+                    while slot > 0 and values[slot - 1] < value:
+                        values[slot] = values[slot - 1]
+                        labels[slot] = labels[slot - 1]
+                        slot -= 1
+                    values[slot] = value
+                    labels[slot] = image

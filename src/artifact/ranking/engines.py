@@ -1,102 +1,116 @@
-"""Where the arithmetic of a ranking pass runs: NumPy and Numba on the CPU, or :mod:`artifact.ranking.engine_torch`.
+"""Where the arithmetic of a ranking pass runs: the CPU, with Numba, or :mod:`artifact.ranking.engine_torch`.
 
-Both engines offer the same six operations on blocks of rows and columns; the schedule of the pass is in
+Both engines offer the same operations on blocks of rows and columns; the schedule of the pass is in
 :mod:`artifact.ranking.one_pass` and does not know which engine it drives.
 """
 
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
 import numpy as np
 
-from artifact.ranking import counting
-from artifact.ranking.counting import Counts, Groups, Places, Tile
+from artifact.ranking import counting, products
+from artifact.ranking.compiled import threads
+from artifact.ranking.counting import Counts, Groups, Lens, Places, Target, Tile
+from artifact.ranking.products import NumpyProduct, Product
 
-_CONVERTED = 32 * 2**20  # bytes of half-precision descriptors that are widened at a time
-_NOTHING = np.empty((0, 0), np.float32)
+_COLUMNS = 1024  # columns of a product at a time: as much is copied or widened
+_WORTH = 2**33  # multiplications of a pass from which on products are tried
 
 
 class Engine(Protocol):
     """What a ranking pass asks of a device."""
 
+    product_kind: Product
+    executor: ThreadPoolExecutor
+
     def __enter__(self) -> Engine: ...
     def __exit__(self, *_: object) -> None: ...
+    def choose(self, multiplications: int, look_seconds: Callable[[Product], float]) -> None: ...  # noqa: D102
     def product(self, left: np.ndarray, rows: slice, right: np.ndarray, columns: slice) -> Any: ...  # noqa: D102
-    def correction(self, left: np.ndarray, right: np.ndarray) -> Any: ...  # noqa: D102
+    def gather(self, tile: Any, rows: np.ndarray, columns: np.ndarray) -> np.ndarray: ...  # noqa: D102
     def transposed(self, tile: Any) -> Any: ...  # noqa: D102
-    def count_database(self, tile: Tile, positives: Groups, counts: Counts) -> None: ...  # noqa: D102
-    def count_pool(self, tile: Tile, places: Places, orders: np.ndarray, counts: Counts) -> None: ...  # noqa: D102
-    def count_pool_only(self, tile: Tile, places: Places, near: Groups, counts: Counts) -> None: ...  # noqa: D102
+    def count(self, tile: Tile, lens: Lens, target: Target, groups: Groups, counts: Counts) -> np.ndarray: ...  # noqa: D102
+    def sweep(  # noqa: D102
+        self, tile: Tile, lens: Lens, target: Target, places: Places, orders: np.ndarray, counts: Counts
+    ) -> None: ...
+    def top(self, tile: Tile, lens: Lens, groups: Groups, similarity: np.ndarray, index: np.ndarray) -> None: ...  # noqa: D102
 
 
 class CpuEngine:
-    """Matrix products by NumPy's BLAS, counting by Numba in one thread per core."""
+    """Matrix products by the library that is fastest here, counting by Numba in one thread per core."""
 
-    def __init__(self) -> None:
-        self._workers = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        self._pool = ThreadPoolExecutor(self._workers)
+    def __init__(self, product: Product | None = None) -> None:
+        self.executor = threads()
+        self.product_kind = product or NumpyProduct()
+        self._fixed = product is not None
         self._buffers: dict[str, np.ndarray] = {}
 
     def __enter__(self) -> CpuEngine:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._pool.shutdown()
+        self.executor.shutdown()
+
+    def choose(self, multiplications: int, look_seconds: Callable[[Product], float]) -> None:
+        """Take the product that is fastest, second looks included, where there is much to multiply."""
+        if multiplications >= _WORTH and not self._fixed:
+            least = np.inf
+            for product, rate in sorted(products.seconds().items(), key=lambda item: item[1]):
+                alone = rate * multiplications
+                if alone < least and alone + (looks := look_seconds(product)) < least:
+                    self.product_kind, least = product, alone + looks
 
     def product(self, left: np.ndarray, rows: slice, right: np.ndarray, columns: slice) -> np.ndarray:
         """Return ``left[rows] @ right[columns].T`` as float32; the memory is reused by the next call."""
-        block, others = left[rows].astype(np.float32, copy=False), right[columns]
+        block, others = np.ascontiguousarray(left[rows], np.float32), right[columns]
         out = self._buffer("product", (len(block), len(others)))
-        step = len(others) if others.dtype == np.float32 else max(1, _CONVERTED // (4 * others.shape[1]))
-        for start in range(0, len(others), step):
-            part = others[start : start + step].astype(np.float32, copy=False)
-            np.matmul(block, part.T, out=out[:, start : start + step])
+        for start in range(0, len(others), _COLUMNS):
+            part = np.ascontiguousarray(others[start : start + _COLUMNS], np.float32)
+            found = out[:, start : start + _COLUMNS]
+            if isinstance(self.product_kind, NumpyProduct):
+                with np.errstate(over="ignore", invalid="ignore"):  # of rows whose reach is infinite
+                    np.matmul(block, part.T, out=found)
+            else:
+                found[:] = self.product_kind.multiply(*products.tensors(block, part))
         return out
 
-    def correction(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """Return what a view subtracts from a tile, ``left @ right.T``; empty if the view changes nothing."""
-        if left.shape[1] == 0:
-            return _NOTHING
-        return np.matmul(left, right.T, out=self._buffer("correction", (len(left), len(right))))
+    def gather(self, tile: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return single values of a tile."""
+        return tile[rows, columns]
 
     def transposed(self, tile: np.ndarray) -> np.ndarray:
         """Return the transposed tile in row order."""
-        return np.ascontiguousarray(tile.T)
+        out = self._buffer("transposed", (tile.shape[1], tile.shape[0]))
+        list(self.executor.map(lambda part: np.copyto(out[part], tile[:, part].T), self._parts(len(out))))
+        return out
 
-    def count_database(self, tile: Tile, positives: Groups, counts: Counts) -> None:
-        """See :func:`artifact.ranking.counting.database_rows`."""
-        self._by_rows(tile, lambda part: counting.database_rows(part, positives, counts))
+    def count(self, tile: Tile, lens: Lens, target: Target, groups: Groups, counts: Counts) -> np.ndarray:
+        """See :func:`artifact.ranking.counting.count_rows`."""
+        return np.concatenate(self._by_rows(tile, lambda part: counting.count_rows(part, lens, target, groups, counts)))
 
-    def count_pool(self, tile: Tile, places: Places, orders: np.ndarray, counts: Counts) -> None:
-        """See :func:`artifact.ranking.counting.pool_rows`."""
+    def sweep(self, tile: Tile, lens: Lens, target: Target, places: Places, orders: np.ndarray, counts: Counts) -> None:
+        """See :func:`artifact.ranking.counting.sweep_rows`."""
         earliest = orders.min(axis=1) if orders.shape[1] else np.zeros(len(orders), np.int32)
-        self._by_rows(tile, lambda part: counting.pool_rows(part, places, orders, earliest, counts))
+        self._by_rows(tile, lambda part: counting.sweep_rows(part, lens, target, places, orders, earliest, counts))
 
-    def count_pool_only(self, tile: Tile, places: Places, near: Groups, counts: Counts) -> None:
-        """See :func:`artifact.ranking.counting.pool_counts`."""
-        self._by_rows(tile, lambda part: counting.pool_counts(part, near, counts))
+    def top(self, tile: Tile, lens: Lens, groups: Groups, similarity: np.ndarray, index: np.ndarray) -> None:
+        """See :func:`artifact.ranking.counting.top_rows`."""
+        self._by_rows(tile, lambda part: counting.top_rows(part, lens, groups, similarity, index))
 
-    def _by_rows(self, tile: Tile, count: Callable[[Tile], None]) -> None:
-        edges = np.linspace(0, len(tile.values), self._workers + 1).astype(int).tolist()
-        jobs = [
-            self._pool.submit(
-                count,
-                tile._replace(
-                    values=tile.values[start:stop],
-                    correction=tile.correction[start:stop],
-                    first_row=tile.first_row + start,
-                ),
-            )
-            for start, stop in itertools.pairwise(edges)
-            if stop > start
-        ]
-        for job in jobs:
-            job.result()
+    def _parts(self, n: int) -> list[slice]:
+        edges = np.linspace(0, n, self.executor._max_workers + 1).astype(int).tolist()
+        return [slice(start, stop) for start, stop in itertools.pairwise(edges) if stop > start]
+
+    def _by_rows(self, tile: Tile, work: Callable[[Tile], Any]) -> list[Any]:
+        def one(part: slice) -> Any:
+            return work(Tile(tile.values[part], tile.first_row + part.start, tile.first_column))
+
+        return list(self.executor.map(one, self._parts(len(tile.values))))
 
     def _buffer(self, name: str, shape: tuple[int, int]) -> np.ndarray:
         size = shape[0] * shape[1]

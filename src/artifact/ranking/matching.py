@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from numba import njit
 
-from artifact.ranking.matching_torch import match_count
+from artifact.ranking.compiled import compiled
+
+if TYPE_CHECKING:
+    import torch  # pages that show stored results need not wait for it
 
 _TILE_ROWS = 512  # features of a candidate that are compared at a time on the CPU
 
@@ -35,7 +36,7 @@ def _readable(descriptors: np.ndarray) -> np.ndarray:
     return np.asarray(descriptors, np.float32 if descriptors.dtype == np.float16 else None)
 
 
-@njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"})
 def _cosines(
     queries: np.ndarray, query_rows: np.ndarray, images: np.ndarray, image_rows: np.ndarray, scores: np.ndarray
 ) -> None:
@@ -54,9 +55,9 @@ def _cosines(
 class LocalMatcher:
     """Second-stage scores of SelaVPR: mutual nearest neighbours among the local features of two images.
 
-    The score is the number of pairs of features that are each other's nearest, where exactly one counts as none, as in the
-    authors' code. ``memory`` is in bytes, for features and similarities together: each image is read once for each group
-    of queries that fits. Features are compared in float32 whatever they are stored as.
+    The score is the number of pairs of features that are each other's nearest, where exactly one counts as none, as in
+    the authors' code. ``memory`` is in bytes, for features and similarities together: each image is read once for each
+    group of queries that fits. Features are compared in float32 whatever they are stored as.
     """
 
     memory: int = 2**30
@@ -83,9 +84,9 @@ class LocalMatcher:
 
     def _backend(self) -> tuple[Callable[..., Any], Callable[..., np.ndarray]]:
         """Return how features are loaded, and how one query is matched with several of the loaded images."""
-        if str(self.device) == "cpu":
-            return _features, _match_on_cpu
-        if self.device is None and not torch.cuda.is_available():
+        import torch
+
+        if str(self.device) == "cpu" or (self.device is None and not torch.cuda.is_available()):
             return _features, _match_on_cpu
         device = torch.device("cuda" if self.device is None else self.device)
 
@@ -131,7 +132,7 @@ def _match_on_cpu(query: np.ndarray, images: np.ndarray, places: np.ndarray) -> 
     return counts
 
 
-@njit(nogil=True, cache=True, fastmath={"nnan", "nsz"})
+@compiled(fastmath={"nnan", "nsz"})
 def _nearest(
     tile: np.ndarray, first: int, nearest_of_row: np.ndarray, nearest_of_column: np.ndarray, closest: np.ndarray
 ) -> None:
@@ -150,3 +151,42 @@ def _nearest(
             nearer = values[column] > closest[column]
             closest[column] = values[column] if nearer else closest[column]
             nearest_of_column[column] = first + row if nearer else nearest_of_column[column]
+
+
+def match_count(query: torch.Tensor, candidates: torch.Tensor, *, block: int = 1) -> torch.Tensor:
+    """Count the mutual nearest neighbours of a query's and each candidate's local features: SelaVPR's second stage.
+
+    There is no threshold and no geometry; like the authors' code it gives 0 where there is exactly one match. Features
+    are of unit length, ``(rows, columns, c)`` or ``(m, c)``, those of k candidates with k leading, of which ``block``
+    are compared at a time; each takes m · n similarities (55 MB in float32 for 61 × 61 features).
+
+    Examples
+    --------
+    >>> import torch
+    >>> features = torch.eye(5)
+    >>> match_count(features[:4], torch.stack([features, features.flip(0)]))
+    tensor([4, 4])
+    """
+    import torch
+
+    if query.ndim < 2 or candidates.ndim < 3 or query.shape[-1] != candidates.shape[-1]:
+        raise ValueError(
+            "match_count takes query features (rows, columns, c) or (m, c) and candidates' features with one "
+            f"more leading axis and the same c; found {tuple(query.shape)} and {tuple(candidates.shape)}."
+        )
+    if block < 1:
+        raise ValueError(f"match_count takes a block of at least 1 candidate; found {block}.")
+    query = query.flatten(0, -2)
+    scores = [_mutual(query, some) for some in torch.split(candidates.flatten(1, -2), block)]
+    return torch.cat(scores) if scores else torch.zeros(0, dtype=torch.int64, device=query.device)
+
+
+def _mutual(query: torch.Tensor, candidates: torch.Tensor) -> torch.Tensor:
+    import torch
+
+    similarities = candidates @ query.T  # (k, n, m)
+    of_query = similarities.argmax(dim=1)
+    of_candidates = similarities.argmax(dim=2)
+    there_and_back = of_candidates.gather(1, of_query)
+    counts = (there_and_back == torch.arange(len(query), device=query.device)).sum(dim=1)
+    return torch.where(counts == 1, 0, counts)

@@ -1,38 +1,37 @@
 """One streaming pass of similarity tiles gives the per-query counts behind every metric.
 
-Nothing is sorted, no similarity matrix is kept and no per-query database is built. A block of queries is multiplied with
-the whole database, which gives each query's best positive and the number of database images that outrank it; then tiles
-of distractors add theirs. When the distractors are the queries themselves, half of the tiles suffice. Views (low-rank
-transforms of the descriptors) correct each tile instead of multiplying again.
+Nothing is sorted, no similarity matrix is kept and no per-query database is built. A block of queries is multiplied
+with the whole database, which gives each query's best positive and the number of database images that outrank it; then
+tiles of distractors add theirs. When the distractors are the queries themselves, half of the tiles suffice. Views
+(low-rank transforms of the descriptors) correct each tile instead of multiplying again.
+
+The tiles are a first look. What they cannot tell apart is decided by :mod:`artifact.ranking.similarity`, so that counts,
+ties and lists are those of the exact similarities, and the same on every machine.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any
 
 import numpy as np
 
 from artifact.datasets.positives import positives_of
-from artifact.ranking.counting import Counts, Groups, Places, Tile
+from artifact.ranking import counting, lenses
+from artifact.ranking.counting import Counts, Groups, Lens, Places, Tile
 from artifact.ranking.engines import Engine, engine_for
-
-Similarity = Literal["cosine", "dot", "l2"]
+from artifact.ranking.lists import SPARE, Listed, top_lists
+from artifact.ranking.products import Product
+from artifact.ranking.similarity import Best, Looks, LowRank, Rows, Similarity, Transform, View, described, views_of
 
 ORIGINAL = "original"
-REVISION = 3  # raise when any count changes: it is part of the key of stored rankings
+REVISION = 4  # raise when any count changes: it is part of the key of stored rankings
 
 _TILE_SIDE = 1024
 _LARGEST_ROWS = 2048
-_NEGLIGIBLE = 1e-5  # of a projection, in float32
-
-
-class LowRank(Protocol):
-    """A transform ``r(x) = x - left @ (right.T @ x - offset)`` that can be evaluated as a view."""
-
-    def low_rank(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...  # noqa: D102
+_PENDING = 2**20  # pairs that wait for their second look
 
 
 @dataclass(frozen=True)
@@ -45,14 +44,12 @@ class Options:
         ``cosine`` scales every descriptor to unit length; ``dot`` and ``l2`` take them as they are.
     depth
         Sweeps over number and distance are available for K up to this.
-    draws
-        Random orders of each pool, for the spread of the sweep over the number of distractors.
+    draws, seed
+        Random orders of each pool, for the spread of the sweep over the number of distractors, and their seed.
     retrieve
         Length of the stored retrieval lists; 0 stores none.
     view_sweeps
         Whether views offer both sweeps too, which cost a view several times what its counts cost.
-    seed
-        Seed of the random orders.
     memory
         Bytes that similarity tiles may take together.
     device
@@ -81,25 +78,30 @@ class ImageSet:
 
 
 @dataclass(frozen=True)
-class Ranking:
-    """Per-query counts of one evaluation: all that the metrics need.
+class Work:
+    """How a pass went: the pairs of images and queries in all views, those looked at again, and exactly."""
 
-    Attributes
-    ----------
-    evaluated
-        ``(n,)`` indices of the queries that have a positive; all per-query arrays follow this order.
-    database
-        Counts over the database, by view.
-    pools
-        Counts over the allowed distractors, by view and pool.
-    similarity
-        ``(n,)`` float32 similarity of each query and its best positive, by view.
+    product: str
+    pairs: int
+    second_looks: int
+    third_looks: int
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Per-query counts of one evaluation: over the database by view, over the allowed distractors by view and pool.
+
+    ``evaluated`` are the ``(n,)`` indices of the queries that have a positive, in the order of all per-query arrays;
+    ``best_positive`` and ``similarity`` are the database index of each one's best positive, ``(n,)`` int64, and its
+    similarity, ``(n,)`` float32, by view. ``work`` depends on the machine and is not stored.
     """
 
     evaluated: np.ndarray
     database: dict[str, Counts]
     pools: dict[tuple[str, str], Counts]
+    best_positive: dict[str, np.ndarray]
     similarity: dict[str, np.ndarray]
+    work: Work | None = None
 
 
 def rank(
@@ -107,30 +109,37 @@ def rank(
     database: ImageSet,
     threshold: float,
     pools: Mapping[str, ImageSet | None],
-    views: Mapping[str, LowRank] | None = None,
-    options: Options | None = None,
+    views: Mapping[str, LowRank] | None,
+    options: Options,
 ) -> Ranking:
     """Rank every query's best positive against the database and against each distractor pool.
 
-    The sets are checked; pools go by name, and ``None`` stands for the evaluated queries themselves. Raises ``ValueError`` if no
-    query has a positive.
+    The sets are checked; pools go by name, and ``None`` stands for the evaluated queries themselves. Raises
+    ``ValueError`` if no query has a positive.
     """
-    options = options or Options()
-    evaluated, starts, positives = evaluated_queries(queries.positions, database.positions, threshold)
+    evaluated, starts, members = evaluated_queries(queries.positions, database.positions, threshold)
     if evaluated.size < len(queries):
         queries = ImageSet(queries.descriptors[evaluated], queries.positions[evaluated])
-    transforms: dict[str, LowRank | None] = {ORIGINAL: None, **(views or {})}
-    factors = _factors(queries, transforms, options.similarity)
+    transforms: dict[str, Transform | None] = {ORIGINAL: None}
+    transforms |= {name: Transform(*view.low_rank()) for name, view in (views or {}).items()}
+    images = [database, *(pool for pool in pools.values() if pool is not None)]
     with engine_for(options.device) as engine:
-        run = _Pass(engine, queries, factors, threshold, transforms, options)
-        in_database = run.over_database(database, starts, positives)
-        best = {view: counts.best for view, counts in in_database.items()}
-        in_pools = {name: run.over_pool(queries if pool is None else pool, best) for name, pool in pools.items()}
+        rows, *others = described([s.descriptors for s in (queries, *images)], engine.executor)
+        run = _Pass(engine, queries, rows, transforms, Groups(starts, members), threshold, options)
+        run.choose_product(others[0], images)
+        in_database = run.over_database(database, others[0])
+        left, in_pools = iter(others[1:]), {}
+        for name, pool in pools.items():
+            chosen = (queries, rows) if pool is None else (pool, next(left))
+            in_pools[name] = run.over_pool(*chosen, len(database))
+        similarity = {view: run.similarity(view) for view in transforms}
     return Ranking(
         evaluated=evaluated,
         database=in_database,
         pools={(view, name): counts[view] for name, counts in in_pools.items() for view in transforms},
-        similarity={view: factors[view].similarity(best[view], options.similarity) for view in transforms},
+        best_positive={view: run.best[view].index for view in transforms},
+        similarity=similarity,
+        work=run.work(),
     )
 
 
@@ -144,147 +153,181 @@ def evaluated_queries(
     starts, positives = positives_of(queries, database, threshold)
     evaluated = np.flatnonzero(np.diff(starts))
     if evaluated.size == 0:
-        raise ValueError(
-            f"none of the {len(queries)} queries has a database image within the threshold {threshold:g}; "
-            f"check that both positions use the same coordinates and that the threshold is in their unit"
-        )
+        found = f"none of the {len(queries)} queries has a database image within the threshold {threshold:g}"
+        remedy = "check that both positions use the same coordinates and that the threshold is in their unit"
+        raise ValueError(f"{found}; {remedy}")
     return evaluated, np.concatenate([[0], np.cumsum(np.diff(starts)[evaluated])]), positives
 
 
-@dataclass(frozen=True)
-class _Factors:
-    """An image set in one view: as rows, and as columns ``(tile - left @ right.T) * scale + bias``."""
-
-    left: np.ndarray
-    right: np.ndarray
-    scale: np.ndarray
-    bias: np.ndarray
-
-    def similarity(self, best: np.ndarray, kind: Similarity) -> np.ndarray:
-        """Complete similarities with these rows, which lack what is the same for all columns."""
-        return best * self.scale if kind == "cosine" else best + self.bias
-
-
-@dataclass(frozen=True)
 class _Pass:
-    engine: Engine
-    queries: ImageSet
-    rows: Mapping[str, _Factors]
-    threshold: float
-    transforms: Mapping[str, LowRank | None]
-    options: Options
+    """The state of a pass: what each view knows of the queries and of their best positives."""
 
-    def over_database(self, database: ImageSet, starts: np.ndarray, positives: np.ndarray) -> dict[str, Counts]:
+    def __init__(
+        self,
+        engine: Engine,
+        queries: ImageSet,
+        rows: Rows,
+        transforms: Mapping[str, Transform | None],
+        positives: Groups,
+        threshold: float,
+        options: Options,
+    ) -> None:
+        self.engine, self.queries, self.rows, self.positives = engine, queries, rows, positives
+        self.transforms, self.threshold, self.options = transforms, threshold, options
+        self.views = views_of(rows, transforms)
+        self.best = {view: Best.empty(len(queries)) for view in transforms}
+        self.looks: dict[str, Looks] = {}
+        self._listed: dict[str, Listed] = {}
+        self._limits: dict[str, np.ndarray] = {}
+        self._pairs = self._second = self._third = 0
+
+    def work(self) -> Work:
+        """Say how the pass went."""
+        return Work(self.engine.product_kind.name, self._pairs, self._second, self._third)
+
+    def similarity(self, view: str) -> np.ndarray:
+        """Return the similarities of the queries and their best positives."""
+        best = self.best[view]
+        return self.looks[view].rounded(np.arange(len(self.queries)), best.index, best.level, best.doubt)
+
+    def choose_product(self, database: Rows, images: list[ImageSet]) -> None:
+        """Let the engine choose its product, knowing what the second looks of each would cost."""
+        pairs = len(self.queries) * (sum(map(len, images)) + len(self.queries) // 2)
+        sample: list[lenses.Sample] = []
+
+        def look_seconds(product: Product) -> float:
+            if not sample:
+                plain = views_of(database, {ORIGINAL: None})[ORIGINAL]
+                looks = self._looks(ORIGINAL, plain)
+                sample.append(lenses.Sample(self.rows, database, self.positives, self.options.similarity, looks))
+            return sample[0].unsure(product) * sample[0].pair_seconds * pairs * len(self.transforms)
+
+        self.engine.choose(pairs * self.rows.descriptors.shape[1], look_seconds)
+
+    def over_database(self, database: ImageSet, rows: Rows) -> dict[str, Counts]:
         """Multiply blocks of queries with the whole database: best positives, and the images that outrank them."""
-        options, n = self.options, len(self.queries)
-        columns = _factors(database, self.transforms, options.similarity)
-        counts = {view: Counts.empty(n, options.depth, 0, options.retrieve) for view in self.transforms}
-        copies = 2 if len(self.transforms) > 1 else 1
-        # Every view reads the tile again: a smaller one stays nearer to the processor.
-        largest = _LARGEST_ROWS if copies == 1 else _LARGEST_ROWS // 4
-        step = max(1, min(largest, options.memory // (4 * copies * len(database))))
-        for rows in _blocks(n, step):
-            values = self.engine.product(self.queries.descriptors, rows, database.descriptors, slice(0, len(database)))
-            for view in self.transforms:
-                tile = self._tile(view, values, rows, columns[view], slice(0, len(database)))
-                self.engine.count_database(tile, Groups(starts, positives), counts[view])
-        return counts
-
-    def over_pool(self, pool: ImageSet, best: Mapping[str, np.ndarray]) -> dict[str, Counts]:
-        """Count the allowed distractors of one pool that outrank each query's best positive."""
-        options, n = self.options, len(self.queries)
-        own = pool is self.queries
-        columns = self.rows if own else _factors(pool, self.transforms, options.similarity)
-        bare = {view for view in self.transforms if view != ORIGINAL and not (options.view_sweeps or options.retrieve)}
-        kept = options.depth, options.draws, options.retrieve
-        counts = {view: Counts.empty(n, *((0, 0, 0) if view in bare else kept)) for view in self.transforms}
+        options, n, everything = self.options, len(self.queries), slice(0, len(database))
+        columns = views_of(rows, self.transforms)
+        self.looks = {view: self._looks(view, columns[view]) for view in self.transforms}
         for view in self.transforms:
-            counts[view].best[:] = best[view]
+            self._limits[view] = lenses.limits(self.views[view], columns[view], options.similarity)
+        seen = self._lenses(columns)
+        none = Groups(np.zeros(n + 1, np.int64), np.zeros(0, np.int64))
+        kept = {view: _Kept(Counts.empty(n, options.depth, 0, 0), n, options.retrieve) for view in self.transforms}
+        step = max(1, min(_LARGEST_ROWS, options.memory // (4 * len(database))))
+        for block in _blocks(n, step):
+            values = self.engine.product(self.queries.descriptors, block, database.descriptors, everything)
+            tile = Tile(values, block.start, 0)
+            starts = self.positives.starts[block.start : block.stop + 1]
+            members = self.positives.members[starts[0] : starts[-1]]
+            owners = np.repeat(np.arange(block.stop - block.start), np.diff(starts))
+            found = self.engine.gather(values, owners, members)
+            for view, lens in seen.items():
+                near = counting.near_best(found, lens, self.positives, block.start, block.stop - block.start)
+                self.best[view].find(near[0], near[1], self.looks[view])
+                target = lenses.target(self.best[view], self._limits[view])
+                pairs = self.engine.count(tile, lens, target, self.positives, kept[view].counts)
+                self._wait(kept[view], pairs, view, self.looks[view], None)
+                if options.retrieve:
+                    self.engine.top(tile, lens, none, *kept[view].top)
+        for view, lens in seen.items():
+            self._decide(kept[view], view, self.looks[view], None)
+            self._listed[view] = Listed(*kept[view].top, lens, self.looks[view], lambda _: np.arange(len(database)), 0)
+        self._pairs += n * len(database) * len(self.transforms)
+        return {view: self._finished(kept[view], [self._listed[view]]) for view in self.transforms}
+
+    def over_pool(self, pool: ImageSet, rows: Rows, n_database: int) -> dict[str, Counts]:
+        """Count the allowed distractors of one pool that outrank each query's best positive."""
+        options, n, own = self.options, len(self.queries), pool is self.queries
+        columns = self.views if own else views_of(rows, self.transforms)
+        looks = {view: self._looks(view, columns[view]) for view in self.transforms}
+        seen, targets = self._lenses(columns), {}
+        for view in self.transforms:
+            targets[view] = lenses.target(self.best[view], self._limits[view])
         orders = draw_orders(len(pool), options)
         places = Places(self.queries.positions, pool.positions, self.threshold)
-        near = Groups(*positives_of(*places)) if bare else None
-        copies = 4 if len(self.transforms) > 1 else 2
-        step = max(1, min(_TILE_SIDE, math.isqrt(options.memory // (4 * copies))))
-        for rows, cols, mirrored in _tiles(n, len(pool), step, symmetric=own):
-            values = self.engine.product(self.queries.descriptors, rows, pool.descriptors, cols)
-            halves = [(values, rows, cols)]
-            if mirrored:
-                halves.append((self.engine.transposed(values), cols, rows))
-            for view in self.transforms:
-                for half, above, across in halves:
-                    tile = self._tile(view, half, above, columns[view], across)
-                    if near is not None and view in bare:
-                        self.engine.count_pool_only(tile, places, near, counts[view])
-                    else:
-                        self.engine.count_pool(tile, places, orders, counts[view])
-        return counts
+        near = Groups(*positives_of(*places)) if len(pool) else Groups(np.zeros(n + 1, np.int64), np.zeros(0, np.int64))
+        swept = {view for view in self.transforms if view == ORIGINAL or options.view_sweeps or options.retrieve}
+        lists = options.depth, options.draws
+        kept = {
+            view: _Kept(Counts.empty(n, *(lists if view in swept else (0, 0)), 0), n, options.retrieve)
+            for view in self.transforms
+        }
+        step = max(1, min(_TILE_SIDE, math.isqrt(options.memory // (4 * 2))))
+        for block, cols, mirrored in _tiles(n, len(pool), step, symmetric=own):
+            values = self.engine.product(self.queries.descriptors, block, pool.descriptors, cols)
+            halves = [Tile(values, block.start, cols.start)]
+            halves += [Tile(self.engine.transposed(values), cols.start, block.start)] if mirrored else []
+            for view, lens in seen.items():
+                for half in halves:
+                    pairs = self.engine.count(half, lens, targets[view], near, kept[view].counts)
+                    sweeps = (places, orders) if view in swept else None
+                    self._wait(kept[view], pairs, view, looks[view], sweeps)
+                    if view in swept:
+                        self.engine.sweep(half, lens, targets[view], places, orders, kept[view].counts)
+                    if options.retrieve:
+                        self.engine.top(half, lens, near, *kept[view].top)
+        self._pairs += n * len(pool) * len(self.transforms)
+        found = {}
+        for view, lens in seen.items():
+            self._decide(kept[view], view, looks[view], (places, orders) if view in swept else None)
+            listed = Listed(*kept[view].top, lens, looks[view], _others(near, len(pool)), n_database)
+            found[view] = self._finished(kept[view], [self._listed[view], listed])
+        return found
 
-    def _tile(self, view: str, values: Any, rows: slice, columns: _Factors, across: slice) -> Tile:
-        correction = self.engine.correction(self.rows[view].left[rows], columns.right[across])
-        return Tile(values, correction, columns.scale[across], columns.bias[across], rows.start, across.start)
+    def _looks(self, view: str, images: View) -> Looks:
+        return Looks(self.views[view], images, self.options.similarity, self.engine.executor)
+
+    def _lenses(self, columns: Mapping[str, View]) -> dict[str, Lens]:
+        ours, theirs = self.views[ORIGINAL].rows, columns[ORIGINAL].rows
+        terms, kind = self.engine.product_kind.terms, self.options.similarity
+        left = terms(ours.descriptors, np.sqrt(ours.squared))[0]
+        right = terms(theirs.descriptors, np.sqrt(theirs.squared))[1]
+        return {
+            view: lenses.lens(self.views[view], columns[view], kind, (left, right), self._limits[view])
+            for view in self.transforms
+        }
+
+    def _wait(
+        self, kept: _Kept, pairs: np.ndarray, view: str, looks: Looks, sweeps: tuple[Places, np.ndarray] | None
+    ) -> None:
+        """Keep pairs for their second look, which many take together."""
+        kept.pending.append(pairs)
+        if sum(map(len, kept.pending)) > _PENDING:
+            self._decide(kept, view, looks, sweeps)
+
+    def _decide(self, kept: _Kept, view: str, looks: Looks, sweeps: tuple[Places, np.ndarray] | None) -> None:
+        """Decide the pairs that wait, and count them."""
+        pairs = np.concatenate([np.zeros((0, 2), np.int64), *kept.pending])
+        kept.pending.clear()
+        signs, undecided = looks.signs(pairs[:, 0], pairs[:, 1], self.best[view], self.looks[view])
+        self._second += len(pairs)
+        self._third += undecided
+        np.add.at(kept.counts.outranking, pairs[signs > 0, 0], 1)
+        np.add.at(kept.counts.ties, pairs[signs == 0, 0], 1)
+        if sweeps is not None:
+            counting.sweep_pairs(pairs[signs > 0], *sweeps, kept.counts)
+
+    def _finished(self, kept: _Kept, sets: list[Listed]) -> Counts:
+        k = self.options.retrieve
+        if not k:
+            return kept.counts
+        similarity, index = top_lists(len(self.queries), k, sets)
+        return kept.counts._replace(top_similarity=similarity, top_index=index)
 
 
-def _factors(images: ImageSet, transforms: Mapping[str, LowRank | None], similarity: Similarity) -> dict[str, _Factors]:
-    """Project an image set once for all views; norms turn dot products into the chosen similarity.
+class _Kept:
+    """What is kept of a view while tiles go by."""
 
-    With ``a = right.T x - offset``, ``u = left.T x`` and ``G = left.T left``, the transformed dot product is
-    ``q'c' = qc - a_q u_c - (u_q - G a_q) a_c``. For an orthogonal projection the last term vanishes.
-    """
-    squared = squared_norms(images.descriptors)
-    factors = {}
-    bases = {view: [np.asarray(part, np.float32) for part in t.low_rank()] for view, t in transforms.items() if t}
-    projected = _project(images.descriptors, [part for left, right, _ in bases.values() for part in (left, right)])
-    for view in transforms:
-        left_factor = right_factor = np.zeros((len(images), 0), np.float32)
-        change = 0.0
-        if view in bases:
-            left, _, offset = bases[view]
-            u, a = next(projected), next(projected) - offset
-            remainder = u - a @ (left.T @ left)
-            change = -sum(np.einsum("nk,nk->n", *both, dtype=np.float64) for both in ((a, u), (remainder, a)))
-            left_factor, right_factor = np.concatenate([a, remainder], axis=1), np.concatenate([u, a], axis=1)
-            if a.size and np.abs(remainder).max() <= _NEGLIGIBLE * max(np.abs(a).max(), np.abs(u).max()):
-                left_factor, right_factor = np.ascontiguousarray(a), np.ascontiguousarray(u)
-        norms = np.maximum(squared + change, 0.0)
-        factors[view] = _Factors(_padded(left_factor), _padded(right_factor), *_scale_and_bias(norms, similarity))
-    return factors
+    def __init__(self, counts: Counts, n: int, retrieve: int) -> None:
+        self.counts, self.pending = counts, list[np.ndarray]()
+        shape = n, 2 * retrieve + SPARE
+        self.top = (np.full(shape, -np.inf, np.float32), np.full(shape, -1, np.int64))
 
 
-def _padded(factor: np.ndarray) -> np.ndarray:
-    """Add empty columns up to a multiple of 4: products of thin matrices of other widths take nearly twice the time."""
-    return np.pad(factor, ((0, 0), (0, -factor.shape[1] % 4)))
-
-
-def _scale_and_bias(squared: np.ndarray, similarity: Similarity) -> tuple[np.ndarray, np.ndarray]:
-    ones, zeros = np.ones(len(squared), np.float32), np.zeros(len(squared), np.float32)
-    if similarity == "cosine":
-        inverse = np.divide(1.0, np.sqrt(squared), out=np.zeros_like(squared), where=squared > 0)
-        return inverse.astype(np.float32), zeros
-    return (2 * ones, -squared.astype(np.float32)) if similarity == "l2" else (ones, zeros)
-
-
-def squared_norms(descriptors: np.ndarray) -> np.ndarray:
-    """Return ``(n,)`` float64 squared lengths, a block of rows at a time."""
-    squared = np.empty(len(descriptors))
-    for rows in _blocks(len(descriptors), max(1, 2**22 // max(1, descriptors.shape[1]))):
-        block = descriptors[rows].astype(np.float64)
-        squared[rows] = np.einsum("nd,nd->n", block, block)
-    return squared
-
-
-def _project(descriptors: np.ndarray, bases: list[np.ndarray]) -> Iterator[np.ndarray]:
-    """Yield the projection on each basis, from one product with the directions that differ: INLP's views share theirs."""
-    if not bases:
-        return
-    places: dict[bytes, int] = {}
-    transposed = [np.ascontiguousarray(basis.T) for basis in bases]
-    chosen = [[places.setdefault(column.tobytes(), len(places)) for column in basis] for basis in transposed]
-    directions = np.frombuffer(b"".join(places), np.float32).reshape(len(places), descriptors.shape[1])
-    out = np.empty((len(descriptors), len(places)), np.float32)
-    for rows in _blocks(len(descriptors), max(1, 2**23 // max(1, descriptors.shape[1]))):
-        np.matmul(descriptors[rows].astype(np.float32, copy=False), directions.T, out=out[rows])
-    for columns in chosen:
-        yield np.ascontiguousarray(out[:, columns])
+def _others(near: Groups, n: int) -> Callable[[int], np.ndarray]:
+    """Return what lists the images that a query may use."""
+    return lambda query: np.setdiff1d(np.arange(n), near.members[near.starts[query] : near.starts[query + 1]])
 
 
 def draw_orders(n: int, options: Options) -> np.ndarray:
