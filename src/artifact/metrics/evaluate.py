@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from artifact import store
+from artifact.datasets.positives import as_columns
 from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.result import QUERY_POOL, is_integer
-from artifact.ranking.one_pass import ImageSet, LowRank, Options, Similarity, rank, squared_norms
+from artifact.ranking.one_pass import ImageSet, Options, rank
+from artifact.ranking.similarity import LowRank, Similarity, squared_norms
 
 _UNIT_TOLERANCE = 1e-3
 
@@ -52,15 +55,8 @@ def evaluate(
     similarity
         ``"cosine"`` (descriptors are scaled to unit length, again after a view), ``"l2"`` or ``"dot"`` (they are
         taken as they are, and must come with unit length).
-    device
-        ``None`` takes CUDA if there is any, else the CPU.
-    depth, draws, retrieve, view_sweeps, seed, memory
+    device, depth, draws, retrieve, view_sweeps, seed, memory
         As in :class:`artifact.ranking.one_pass.Options`.
-
-    Returns
-    -------
-    Evaluation
-        Metrics, sweeps and per-query counts.
 
     Raises
     ------
@@ -94,10 +90,10 @@ def evaluate(
     if not np.isfinite(threshold) or threshold < 0:
         raise ValueError(f"threshold is {threshold!r}; allowed: finite numbers from 0, in metres or frames")
     query_set = _image_set("queries", queries, query_positions, similarity)
-    database_set = _image_set("database", database, database_positions, similarity)
-    _same_width(("queries", query_set), ("database", database_set))
+    database_set = _image_set("database", database, database_positions, similarity, query_set)
     pools = _pools(distractors, distractor_positions, query_set, similarity)
-    ranking = rank(query_set, database_set, threshold, pools, views, options)
+    with store.stage("rank"):
+        ranking = rank(query_set, database_set, threshold, pools, views, options)
     evaluated = query_set.positions[ranking.evaluated]
     return Evaluation(
         evaluated=ranking.evaluated,
@@ -138,31 +134,27 @@ def _pools(distractors: Any, positions: Any, queries: ImageSet, similarity: Simi
     if not named:
         distractors, positions = {"distractors": distractors}, {"distractors": positions}
     if set(distractors) != set(positions):
-        raise ValueError(
-            f"distractors are named {sorted(distractors)}, distractor_positions {sorted(positions)}; "
-            f"both need the same names"
-        )
-    pools: dict[str, ImageSet | None] = {}
-    for name, images in distractors.items():
-        pool = _image_set(f"distractors {name!r}", images, positions[name], similarity)
-        _same_width(("queries", queries), (f"distractors {name!r}", pool))
-        pools[name] = pool
-    return pools
+        found = f"distractors are named {sorted(distractors)}, distractor_positions {sorted(positions)}"
+        raise ValueError(f"{found}; both need the same names")
+    return {
+        name: _image_set(f"distractors {name!r}", images, positions[name], similarity, queries)
+        for name, images in distractors.items()
+    }
 
 
-def _image_set(name: str, descriptors: Any, positions: Any, similarity: str) -> ImageSet:
+def _image_set(
+    name: str, descriptors: Any, positions: Any, similarity: str, queries: ImageSet | None = None
+) -> ImageSet:
+    """Check images, also against the queries that they are compared with."""
     if not isinstance(descriptors, np.ndarray) or descriptors.dtype not in (np.float32, np.float16):
         kind = f"an array of {descriptors.dtype}" if isinstance(descriptors, np.ndarray) else type(descriptors).__name__
         raise TypeError(f"{name}: descriptors are {kind}; allowed: NumPy arrays of float32 or float16")
     if descriptors.ndim != 2 or 0 in descriptors.shape:
         raise ValueError(f"{name}: descriptors have the shape {descriptors.shape}; allowed: (n, d), neither zero")
-    where = np.asarray(positions, np.float64)
-    where = where[:, None] if where.ndim == 1 else where
+    where = as_columns(positions)
     if where.ndim != 2 or where.shape[0] != len(descriptors) or where.shape[1] == 0:
-        raise ValueError(
-            f"{name}: positions have the shape {np.shape(positions)} for {len(descriptors)} descriptors; "
-            f"allowed: ({len(descriptors)}, p)"
-        )
+        found = f"the shape {np.shape(positions)} for {len(descriptors)} descriptors"
+        raise ValueError(f"{name}: positions have {found}; allowed: ({len(descriptors)}, p)")
     lengths = np.sqrt(squared_norms(descriptors))
     for wrong, message in (
         (~np.isfinite(where).all(axis=1), "the position of row {row} is not finite"),
@@ -170,18 +162,16 @@ def _image_set(name: str, descriptors: Any, positions: Any, similarity: str) -> 
         (lengths == 0, "row {row} of the descriptors is all zeros and has no direction"),
         (
             (similarity != "cosine") & (np.abs(lengths - 1) > _UNIT_TOLERANCE),
-            "row {row} has length {length:.4g}; similarity {similarity!r} needs unit-length descriptors: divide each row by its "
-            "length, or use 'cosine'",
+            "row {row} has length {length:.4g}; similarity {similarity!r} needs unit-length descriptors: "
+            "divide each row by its length, or use 'cosine'",
         ),
     ):
         if wrong.any():
             row = int(wrong.argmax())
             raise ValueError(f"{name}: " + message.format(row=row, length=lengths[row], similarity=similarity))
-    return ImageSet(descriptors, np.ascontiguousarray(where))
-
-
-def _same_width(first: tuple[str, ImageSet], second: tuple[str, ImageSet]) -> None:
+    images = ImageSet(descriptors, np.ascontiguousarray(where))
     for kind in ("descriptors", "positions"):
-        widths = [getattr(images, kind).shape[1] for _, images in (first, second)]
-        if widths[0] != widths[1]:
-            raise ValueError(f"{kind} have {widths[0]} columns in {first[0]} and {widths[1]} in {second[0]}")
+        ours, theirs = getattr(images, kind).shape[1], getattr(queries or images, kind).shape[1]
+        if ours != theirs:
+            raise ValueError(f"{kind} have {theirs} columns in queries and {ours} in {name}")
+    return images

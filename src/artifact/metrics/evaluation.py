@@ -21,14 +21,9 @@ from artifact.ranking.one_pass import ORIGINAL, Ranking
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation(Result):
-    """The outcome of evaluating a one-stage method; see :class:`~artifact.metrics.result.Result`.
+    """The outcome of evaluating a one-stage method, from the counts of a ranking and as one of its views shows it.
 
-    Attributes
-    ----------
-    ranking
-        The per-query counts.
-    view
-        The view that this evaluation shows.
+    See :class:`~artifact.metrics.result.Result` for what it answers.
     """
 
     ranking: Ranking
@@ -60,11 +55,7 @@ class Evaluation(Result):
         return ranks
 
     def chances_by_ratio(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
-        """Return each query's chance of a hit, ``(n, len(ratios))``.
-
-        Of the m images drawn, the number that outranks a query's best positive is hypergeometric, so the expectation
-        over all draws is exact.
-        """
+        """Return each query's chance of a hit, ``(n, len(ratios))``, exact: what outranks it is hypergeometric."""
         spare = self._checked_k(k) - 1 - self.database_counts.outranking
         outranking = self.distractor_counts.outranking
         chances = [_at_most(spare, self.n_distractors, outranking, int(size)) for size in self._sizes(ratios)]
@@ -95,36 +86,22 @@ class Evaluation(Result):
         return np.clip(k - self.database_counts.outranking, 0, k)
 
     def retrieved(self, k: int = 1, *, distractors: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return indices and similarities of each query's top K images; see :class:`~artifact.metrics.result.Result`."""
-        k = self._checked_length(k, self.database_counts.top_index.shape[1])
-        indices, similarities = self.database_counts.top_index, self.database_counts.top_similarity
-        if distractors:
-            pool = self.distractor_counts
-            shifted = np.where(pool.top_index < 0, -1, pool.top_index + self.n_database)
-            indices = np.concatenate([indices, shifted], axis=1)
-            similarities = np.concatenate([similarities, pool.top_similarity], axis=1)
-            order = np.argsort(-similarities, axis=1, kind="stable")
-            indices = np.take_along_axis(indices, order, axis=1)
-            similarities = np.take_along_axis(similarities, order, axis=1)
-        return indices[:, :k], similarities[:, :k]
+        """Return indices and similarities of each query's top K; see :class:`~artifact.metrics.result.Result`."""
+        counts = self.distractor_counts if distractors else self.database_counts
+        k = self._checked_length(k, counts.top_index.shape[1])
+        return counts.top_index[:, :k], counts.top_similarity[:, :k]
 
     def per_query(self) -> pd.DataFrame:
         """Return one row per evaluated query; see :class:`~artifact.metrics.result.Result`."""
-        best = self.database_counts.best_index
-        return (
-            super()
-            .per_query()
-            .assign(
-                best_positive=best,
-                similarity=self.ranking.similarity[self.view],
-                distance=np.linalg.norm(self.query_positions - self.database_positions[best], axis=1),
-            )
-        )
+        best, similarity = self.ranking.best_positive[self.view], self.ranking.similarity[self.view]
+        distance = np.linalg.norm(self.query_positions - self.database_positions[best], axis=1)
+        return super().per_query().assign(best_positive=best, similarity=similarity, distance=distance)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Flatten into named arrays, for storage."""
         named = super().arrays() | {"views": np.array(self.views)}
         for view_number, view in enumerate(self.views):
+            named[f"best_positive/{view_number}"] = self.ranking.best_positive[view]
             named[f"similarity/{view_number}"] = self.ranking.similarity[view]
             counts = {f"database/{view_number}": self.ranking.database[view]}
             counts |= {f"pool/{view_number}/{n}": self.ranking.pools[view, pool] for n, pool in enumerate(self.pools)}
@@ -139,14 +116,12 @@ class Evaluation(Result):
             return Counts(**{name: arrays[f"{prefix}/{name}"] for name in Counts._fields})
 
         fields, views = cls.fields_of(arrays), [str(view) for view in arrays["views"]]
+        pools = list(enumerate(fields["pool_positions"]))
         ranking = Ranking(
             evaluated=arrays["evaluated"],
             database={view: counts(f"database/{v}") for v, view in enumerate(views)},
-            pools={
-                (view, pool): counts(f"pool/{v}/{p}")
-                for v, view in enumerate(views)
-                for p, pool in enumerate(fields["pool_positions"])
-            },
+            pools={(view, pool): counts(f"pool/{v}/{p}") for v, view in enumerate(views) for p, pool in pools},
+            best_positive={view: arrays[f"best_positive/{v}"] for v, view in enumerate(views)},
             similarity={view: arrays[f"similarity/{v}"] for v, view in enumerate(views)},
         )
         return cls(ranking=ranking, **fields)

@@ -1,7 +1,7 @@
 """What every evaluation answers, of one stage or of two.
 
-The definitions are those of the paper, section III-B: a query is a hit at K when its best positive is among the top K of
-the database, without or with its allowed distractors.
+The definitions are those of the paper, section III-B: a query is a hit at K when its best positive is among the top K
+of the database, without or with its allowed distractors.
 """
 
 from __future__ import annotations
@@ -30,16 +30,9 @@ class Result(Protocol):
     Attributes
     ----------
     evaluated
-        ``(n,)`` indices of the evaluated queries, those with a positive, among those given; per-query arrays follow
-        this order.
-    n_listed
-        Number of queries given.
-    query_positions, database_positions
-        Positions of the evaluated queries ``(n, p)`` and of the database, in the unit of ``threshold``.
-    pool_positions
-        Positions of each distractor pool.
-    threshold
-        Positive threshold in metres or frames.
+        ``(n,)`` indices of the queries with a positive among the ``n_listed`` given; the order of per-query arrays.
+    query_positions, database_positions, pool_positions
+        Of the evaluated queries ``(n, p)``, the database and each distractor pool, in the unit of ``threshold``.
     pool_name
         The pool that this evaluation shows.
     """
@@ -97,7 +90,7 @@ class Result(Protocol):
     def ranks(self, *, distractors: bool, ties: Ties = "for") -> np.ndarray:
         """Return ``(n,)`` int64 ranks of the best positive, 1 on top, without or with the allowed distractors.
 
-        With ties ``"for"`` the query only images strictly above the best positive count, with ``"against"`` equal ones too.
+        With ties ``"for"`` the query only images above the best positive count, with ``"against"`` equal ones too.
         """
 
     def hits(self, k: int = 1, *, distractors: bool, ties: Ties = "for") -> np.ndarray:
@@ -130,10 +123,10 @@ class Result(Protocol):
 
     @abstractmethod
     def dar_by_ratio_draws(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
-        """Return DAR@K for nested random subsets of the pool, as the paper samples: ``(draws, len(ratios))`` float64."""
+        """Return DAR@K for nested random subsets of the pool: ``(draws, len(ratios))`` float64."""
 
     def dar_by_distance(self, distances: Sequence[float], k: int = 1) -> np.ndarray:
-        """Return DAR@K, ``(len(distances),)`` float64, when only distractors beyond a distance are used (paper Fig. 6b).
+        """Return DAR@K, ``(len(distances),)`` float64, with only the distractors beyond a distance (paper Fig. 6b).
 
         Distances are in the unit of the threshold, from the threshold (all: DAR@K) to infinity (none: R@K).
         """
@@ -147,26 +140,18 @@ class Result(Protocol):
     def retrieved(self, k: int = 1, *, distractors: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return each query's top K images, K up to the option ``retrieve``, without or with its allowed distractors.
 
-        Returns
-        -------
-        indices
-            ``(n, k)`` int64: database indices; a distractor with pool index ``j`` is ``n_database + j``; -1 where
-            there are fewer than K images.
-        similarities
-            ``(n, k)`` float32, comparable within a query: the cosine times the query's length, or the dot product, or the
-            negative squared distance without the query's own square; scores of the second stage if there is one.
+        Indices are ``(n, k)`` int64: database indices, ``n_database + j`` for image ``j`` of the pool, -1 where there
+        are fewer than K images. Similarities ``(n, k)`` float32 are the cosine, the dot product or the negative squared
+        distance; scores of a second stage.
         """
 
     def per_query(self) -> pd.DataFrame:
         """Return one row per evaluated query.
 
-        Returns
-        -------
-        pandas.DataFrame
-            ``query``: its index among those given; ``rank`` and ``rank_with_distractors`` of its best positive; ``rank_against``
-            and ``rank_with_distractors_against``: the same with all ties against the query. One-stage methods add
-            ``best_positive``: its database index, ``similarity`` of the two (cosine, dot product or negative squared
-            distance) and ``distance`` between them in the unit of the threshold.
+        Columns are ``query``: its index among those given; ``rank`` and ``rank_with_distractors`` of its best positive;
+        ``rank_against`` and ``rank_with_distractors_against``: the same with all ties against the query. One-stage
+        methods add ``best_positive``: its database index, ``similarity`` of the two (cosine, dot product or negative
+        squared distance) and ``distance`` between them in the unit of the threshold.
         """
         return pd.DataFrame(
             {
@@ -218,17 +203,14 @@ class Result(Protocol):
     def _limits(self, distances: Sequence[float]) -> np.ndarray:
         limits = np.asarray(distances, np.float64)
         if limits.ndim != 1 or not (limits >= self.threshold).all():
-            raise ValueError(
-                f"distances are {distances!r}; allowed: a list of numbers from the threshold {self.threshold:g} up"
-            )
+            allowed = f"a list of numbers from the threshold {self.threshold:g} up"
+            raise ValueError(f"distances are {distances!r}; allowed: {allowed}")
         return limits
 
     def _checked_length(self, k: int, stored: int) -> int:
-        """Check the length of a retrieval list against what is kept."""
         if not is_integer(k) or not 1 <= k <= stored:
-            raise ValueError(
-                f"k is {k!r}; this evaluation keeps retrieval lists up to {stored}: raise the option retrieve"
-            )
+            kept = f"this evaluation keeps retrieval lists up to {stored}"
+            raise ValueError(f"k is {k!r}; {kept}: raise the option retrieve")
         return int(k)
 
 

@@ -1,10 +1,10 @@
 """Two-stage methods: candidates of the augmented database by a first stage, ranked again by a second.
 
 A two-stage method takes the first N images of a query's database by its first stage (SelaVPR: cosine of descriptors;
-SelaVPR++: Hamming distance of hash codes) and ranks them again (SelaVPR: mutual nearest local features; SelaVPR++: cosine of
-descriptors). So distractors act twice: they push database images out of the candidates, and they compete with those that
-stay. A distractor may even help, by pushing out a wrong database image that the second stage would have preferred: DAR can
-exceed R, and is reported as it is.
+SelaVPR++: Hamming distance of hash codes) and ranks them again (SelaVPR: mutual nearest local features; SelaVPR++:
+cosine of descriptors). So distractors act twice: they push database images out of the candidates, and they compete with
+those that stay. A distractor may even help, by pushing out a wrong database image that the second stage would have
+preferred: DAR can exceed R, and is reported as it is.
 
 Ties favour the query: images equal in the first stage stand with the positives first, then database images and
 distractors, each by index; images equal in the second stage keep their first-stage order.
@@ -22,29 +22,26 @@ from artifact.metrics.result import QUERY_POOL, Result, Ties, is_integer
 from artifact.metrics.two_stage_sweeps import Sweep, check_numbers, rank_of_best, sweep
 from artifact.ranking.candidates import DISTRACTOR, POSITIVE, Entries, Images, Problem, Scores, scored_entries
 
-REVISION = 2  # raise when any rank changes: it is part of the key of stored rankings
+REVISION = 3  # raise when any rank changes: it is part of the key of stored rankings
 
 
 @dataclass(frozen=True, kw_only=True)
 class TwoStageEvaluation(Result):
     """The outcome of evaluating a two-stage method, for K up to N; see :class:`~artifact.metrics.result.Result`.
 
-    DAR@K may exceed R@K. There is the original view alone: suppression does not apply to codes and local features (paper,
-    section IV). The sweeps need scores of more pairs than R and DAR and are computed when first asked for.
+    There is the original view alone: suppression does not apply to codes and local features (paper, section IV).
 
     Attributes
     ----------
     candidates
         N, the number of first-stage candidates that are ranked again.
-    database_ranks
-        ``(2, n)`` ranks of the best positive in the database; the second row has all ties against the query, in both
-        stages. N + 1 stands for every query without a positive among the candidates.
-    augmented_ranks
-        The same with each pool's distractors.
+    database_ranks, augmented_ranks
+        ``(2, n)`` ranks of the best positive in the database, and with each pool's distractors; the second row has all
+        ties against the query, in both stages. N + 1 stands for every query without a positive among the candidates.
     lists
         By ``""`` for the database and by pool: indices ``(n, k)`` and scores ``(n, k)`` of the first k images.
     sweep_of
-        Gives the sweep of a pool by its name; computed on the first call and kept.
+        Gives the sweep of a pool by its name; it needs scores of more pairs, and is computed on the first call.
     """
 
     candidates: int
@@ -59,10 +56,7 @@ class TwoStageEvaluation(Result):
         return found[int(ties == "against")]
 
     def dar_by_ratio(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
-        """Return DAR@K when only a share of the distractor pool is used: the mean over nested random draws.
-
-        There is no closed form as for one-stage methods, since distractors do not act on a query independently.
-        """
+        """Return the mean of DAR@K over nested random draws: distractors act together, so there is no closed form."""
         return self.dar_by_ratio_draws(ratios, k).mean(axis=0)
 
     def dar_by_ratio_draws(self, ratios: Sequence[float], k: int = 1) -> np.ndarray:
@@ -129,6 +123,7 @@ def evaluate_two_stage(
     retrieve: int = 0,
     draws: int = 10,
     seed: int = 0,
+    rows: slice | None = None,
 ) -> TwoStageEvaluation:
     """Evaluate a two-stage method with and without distractors.
 
@@ -137,13 +132,17 @@ def evaluate_two_stage(
     queries, database, threshold
         The images with what both stages know of them; the threshold as in :func:`artifact.evaluate`.
     scores
-        The second stage: :func:`artifact.ranking.matching.cosines` or a :class:`artifact.ranking.matching.LocalMatcher`.
+        The second stage: :func:`artifact.ranking.matching.cosines` or a
+        :class:`artifact.ranking.matching.LocalMatcher`.
     pools
         Distractor pools by name; ``None`` takes the evaluated queries themselves, as does a pool that is ``None``.
     candidates, retrieve
         N, how many images of the augmented database are ranked again; length of the stored lists, at most N.
     draws, seed
         Number of nested random draws of the number sweep, and their seed: the same draws as of one-stage methods.
+    rows
+        Rank only these of the evaluated queries, from a row up to another; :func:`joined` puts parts together. Distractors
+        are the same.
 
     Raises
     ------
@@ -155,11 +154,11 @@ def evaluate_two_stage(
         raise ValueError(f"retrieve is {retrieve}; allowed: whole numbers from 0 to the {candidates} candidates")
     problem = Problem.of(queries, database, threshold, candidates)
     named = {name: problem.queries if p is None else p for name, p in (pools or {QUERY_POOL: None}).items()}
+    problem = problem if rows is None else problem.part(rows)
     n = len(problem.queries)
     ranks = {name: np.empty((2, n), np.int64) for name in ("", *named)}
-    lists = {
-        name: (np.full((n, retrieve), -1, np.int64), np.full((n, retrieve), -np.inf, np.float32)) for name in ranks
-    }
+    shape = n, retrieve
+    lists = {name: (np.full(shape, -1, np.int64), np.full(shape, -np.inf, np.float32)) for name in ranks}
     for query, found in scored_entries(problem, {"": None, **named}, scores):
         for name, entries in found.items():
             ranks[name][:, query] = [_rank(entries, candidates, ties) for ties in ("for", "against")]
@@ -167,7 +166,8 @@ def evaluate_two_stage(
 
     @functools.cache
     def sweep_of(name: str) -> Sweep:
-        return sweep(queries, database, threshold, scores, named[name], candidates=candidates, draws=draws, seed=seed)
+        what = queries, database, threshold, scores, named[name]
+        return sweep(*what, candidates=candidates, draws=draws, seed=seed, rows=rows)
 
     return TwoStageEvaluation(
         evaluated=problem.evaluated,
@@ -183,6 +183,19 @@ def evaluate_two_stage(
         lists=lists,
         sweep_of=sweep_of,
     )
+
+
+def joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Return the arrays of a whole evaluation from those of its parts, in order of their queries."""
+
+    def of(name: str) -> np.ndarray:
+        if name in ("evaluated", "query_positions") or name.startswith(("indices_", "scores_")):
+            return np.concatenate([part[name] for part in parts])
+        if name == "database_ranks" or name.startswith("ranks_"):
+            return np.concatenate([part[name] for part in parts], axis=1)
+        return parts[0][name]
+
+    return {name: of(name) for name in parts[0]}
 
 
 def _rank(entries: Entries, n: int, ties: Ties) -> int:

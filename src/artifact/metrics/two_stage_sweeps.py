@@ -11,18 +11,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from artifact.ranking.candidates import DISTRACTOR, POSITIVE, Images, Problem, Scores, scored_entries
+from artifact.ranking.compiled import compiled
 from artifact.ranking.one_pass import Options, draw_orders
+
+_STEPS = ("starts", "keys", "ranks")
 
 
 @dataclass(frozen=True)
 class Steps:
     """Ranks that change while distractors are added in order of a key: a step function for each row.
 
-    Row ``i`` has the steps from ``starts[i]`` up to ``starts[i + 1]``: from a distractor's key on (inclusive), the rank; the
-    first is the rank without distractors.
+    Row ``i`` has the steps from ``starts[i]`` up to ``starts[i + 1]``: from a distractor's key on (inclusive), the
+    rank; the first is the rank without distractors.
     """
 
     starts: np.ndarray
@@ -45,14 +47,8 @@ class Steps:
 class Sweep:
     """Ranks of every query for every number of distractors, in nested random draws, and every minimum distance.
 
-    Attributes
-    ----------
-    number
-        Rows are queries × draws; the key is a distractor's place in the draw's random order.
-    distance
-        Rows are queries; the key is the negative distance of a distractor from the query.
-    draws
-        Number of draws.
+    Rows of ``number`` are queries × draws; the key is a distractor's place in the draw's random order. Rows of
+    ``distance`` are queries; the key is the negative distance of a distractor from the query.
     """
 
     number: Steps
@@ -61,16 +57,13 @@ class Sweep:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Flatten into named arrays, for storage."""
-        parts = {"number": self.number, "distance": self.distance}
-        named = {f"{p}_{n}": getattr(s, n) for p, s in parts.items() for n in ("starts", "keys", "ranks")}
+        named = {f"{p}_{n}": getattr(getattr(self, p), n) for p in ("number", "distance") for n in _STEPS}
         return {**named, "draws": np.array(self.draws)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Sweep:
         """Rebuild from :meth:`arrays`."""
-        number, distance = (
-            Steps(*(arrays[f"{p}_{n}"] for n in ("starts", "keys", "ranks"))) for p in ("number", "distance")
-        )
+        number, distance = (Steps(*(arrays[f"{p}_{n}"] for n in _STEPS)) for p in ("number", "distance"))
         return cls(number, distance, int(arrays["draws"]))
 
 
@@ -84,21 +77,34 @@ def sweep(
     candidates: int = 100,
     draws: int = 10,
     seed: int = 0,
+    rows: slice | None = None,
 ) -> Sweep:
     """Rank every query for every number and every minimum distance of the distractors of one pool.
 
-    Parameters are those of :func:`artifact.metrics.two_stage.evaluate_two_stage`; ``pool`` is ``None`` for the evaluated queries.
+    Parameters are those of :func:`artifact.metrics.two_stage.evaluate_two_stage`; without a pool, the queries.
     """
     check_numbers(candidates, draws)
     problem = Problem.of(queries, database, threshold, candidates)
     pool = problem.queries if pool is None else pool
     orders = draw_orders(len(pool), Options(draws=draws, seed=seed)).astype(np.float64)
+    problem = problem if rows is None else problem.part(rows)
     number, distance = [], []
     for _, found in scored_entries(problem, {"": pool}, scores, orders):
         kind, second, keys = found[""].kind, found[""].second, found[""].keys
         number += [_steps(kind, second, keys[:, draw], candidates) for draw in range(draws)]
         distance.append(_steps(kind, second, keys[:, draws], candidates))
     return Sweep(Steps.joined(number), Steps.joined(distance), draws)
+
+
+def joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Return the arrays of a whole sweep from those of its parts, in order of their queries."""
+    whole = {
+        name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name.endswith(("_keys", "_ranks"))
+    }
+    for sweep_by in ("number", "distance"):
+        steps = np.concatenate([np.diff(part[f"{sweep_by}_starts"]) for part in parts])
+        whole[f"{sweep_by}_starts"] = np.concatenate([[0], np.cumsum(steps)])
+    return whole | {"draws": parts[0]["draws"]}
 
 
 def check_numbers(candidates: int, draws: int) -> None:
@@ -108,7 +114,7 @@ def check_numbers(candidates: int, draws: int) -> None:
             raise ValueError(f"{name} is {value}; allowed: whole numbers from 1")
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def rank_of_best(kind: np.ndarray, second: np.ndarray, against: bool) -> int:
     """Rank of the best positive among candidates in first-stage order; 0 if there is none.
 
@@ -128,13 +134,10 @@ def rank_of_best(kind: np.ndarray, second: np.ndarray, against: bool) -> int:
     return rank
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _steps(kind: np.ndarray, second: np.ndarray, keys: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Add a query's distractors in order of their keys, and note the rank wherever it changes.
-
-    The entries are in first-stage order. ``chosen`` holds the candidates of the moment, in that order: those that
-    a new one pushes out never come back.
-    """
+    """Add a query's distractors in order of their keys, and note the rank wherever it changes."""
+    # The candidates of the moment, in first-stage order as the entries: those pushed out never come back.
     chosen, size = np.empty(n + 1, np.int64), 0
     for entry in range(kind.size):
         if kind[entry] != DISTRACTOR and size < n:
@@ -160,7 +163,7 @@ def _steps(kind: np.ndarray, second: np.ndarray, keys: np.ndarray, n: int) -> tu
     return at[:steps], ranks[:steps]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _ranks_below(starts: np.ndarray, keys: np.ndarray, ranks: np.ndarray, limits: np.ndarray) -> np.ndarray:
     out = np.empty((starts.size - 1, limits.size), np.int32)
     for row in range(starts.size - 1):

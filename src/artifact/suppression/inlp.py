@@ -51,10 +51,9 @@ class INLP(LowRankEstimator):
         self.device = device
 
     def fit(self, X: np.ndarray, condition: np.ndarray) -> INLP:
-        """Fit on descriptors ``(n, d)`` and their conditions ``(n,)``.
+        """Fit on descriptors ``(n, d)`` and their conditions ``(n,)``; raises as :meth:`artifact.STD.fit`.
 
-        Raises ``ValueError`` for fewer than two conditions or two rows in one, and for constant or infinite descriptors. Warns
-        once (``ConvergenceWarning``) with the number of classifiers that did not converge.
+        Warns once (``ConvergenceWarning``) with the number of classifiers that did not converge.
         """
         X, condition = checked_fit(X, condition)
         coordinates, lift = _coordinates(X, self.device)
@@ -78,10 +77,7 @@ class INLP(LowRankEstimator):
 def _erased_directions(
     coordinates: np.ndarray, condition: np.ndarray, iterations: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fit classifiers and remove their directions, in turn, from the coordinates themselves.
-
-    Returns the orthonormal directions and, per iteration, balanced training accuracy and number of directions.
-    """
+    """Remove directions in turn, in place; return them and, per iteration, balanced accuracy and their number."""
     basis = np.zeros((coordinates.shape[1], 0))
     accuracies, ends, unconverged = [], [], 0
     start = np.linalg.norm(coordinates)
@@ -104,11 +100,8 @@ def _erased_directions(
                 _project_out(coordinates, direction)
         ends.append(basis.shape[1])
     if unconverged:
-        warnings.warn(
-            f"{unconverged} of {len(ends)} INLP classifiers did not converge in 2500 epochs",
-            ConvergenceWarning,
-            stacklevel=3,
-        )
+        text = f"{unconverged} of {len(ends)} INLP classifiers did not converge in 2500 epochs"
+        warnings.warn(text, ConvergenceWarning, stacklevel=3)
     return basis, np.array(accuracies), np.array(ends, int)
 
 
@@ -127,6 +120,8 @@ def _coordinates(X: np.ndarray, device: Any) -> tuple[np.ndarray, Any]:
         return X.astype(np.float64), lambda basis: basis
     values, vectors = spectrum(gram_matrix(X, np.zeros(d), device))
     roots = np.sqrt(values)
-    return np.multiply(vectors, roots, order="C"), lambda basis: weighted_sum(
-        X, np.zeros(d), vectors @ (basis / roots[:, None])
-    )
+
+    def lift(basis: np.ndarray) -> np.ndarray:
+        return weighted_sum(X, np.zeros(d), vectors @ (basis / roots[:, None]))
+
+    return np.multiply(vectors, roots, order="C"), lift

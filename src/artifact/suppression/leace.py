@@ -18,12 +18,12 @@ class LEACE(LowRankEstimator):
     ``r(x) = x - A (A'B)^+ B' (x - μ)`` with ``A = X_c' Z_c`` and ``B`` the minimum-norm least-squares solution of
     ``X_c B = Z_c``: memory O(n d).
 
-    Nothing is removed where the conditions are already guarded. With orthonormal columns ``Q`` that span those of ``Z_c``, a
-    condition direction counts only if its singular value in ``X_c' Q`` is above ``(2 ε + n ε₆₄) ‖X‖``, what rounding of the
-    stored values and of the sums can leave of an erased condition: ``ε`` is the epsilon of the coarsest of float16, float32
-    and float64 that holds all of ``X``. So a fit on the stored output of a fit is the identity. (The regression cannot
-    tell: with more columns than rows it fits labels to the rounding. Rows scaled to unit length after erasure are other
-    data, whose means may differ again.)
+    Nothing is removed where the conditions are already guarded. With orthonormal columns ``Q`` that span those of
+    ``Z_c``, a condition direction counts only if its singular value in ``X_c' Q`` is above ``(2 ε + n ε₆₄) ‖X‖``, what
+    rounding of the stored values and of the sums can leave of an erased condition: ``ε`` is the epsilon of the coarsest
+    of float16, float32 and float64 that holds all of ``X``. So a fit on the stored output of a fit is the identity.
+    (The regression cannot tell: with more columns than rows it fits labels to the rounding. Rows scaled to unit length
+    after erasure are other data, whose means may differ again.)
 
     Parameters
     ----------
@@ -31,15 +31,15 @@ class LEACE(LowRankEstimator):
         Whether to shrink the covariance linearly towards a multiple of the identity (Bodnar et al. 2014), as the
         reference implementation does by default; the paper's formula does not.
     tolerance
-        Eigenvalues of the covariance at or below this share of the largest count as zero; ``None`` is the larger of n and d
-        times the float64 epsilon.
+        Eigenvalues of the covariance at or below this share of the largest count as zero; ``None`` is the larger of n
+        and d times the float64 epsilon.
     device
         Where the large matrix products run; ``None`` is the CPU.
 
     Attributes
     ----------
     map_
-        The fitted :class:`~artifact.suppression.lowrank.LowRankMap`; its rank is at most the number of conditions minus 1.
+        The fitted :class:`~artifact.suppression.lowrank.LowRankMap`, of lower rank than there are conditions.
     mean_
         ``(d,)`` mean of the fitting data, which the map keeps.
     """
@@ -50,10 +50,7 @@ class LEACE(LowRankEstimator):
         self.device = device
 
     def fit(self, X: np.ndarray, condition: np.ndarray) -> LEACE:
-        """Fit on descriptors ``(n, d)`` and their conditions ``(n,)``.
-
-        Raises ``ValueError`` for fewer than two conditions or two rows in one, and for constant or infinite descriptors.
-        """
+        """Fit on descriptors ``(n, d)`` and their conditions ``(n,)``; raises as :meth:`artifact.STD.fit`."""
         X, condition = checked_fit(X, condition)
         self.mean_ = X.mean(axis=0, dtype=np.float64)
         labels = (condition[:, None] == np.unique(condition)[:-1]).astype(np.float64)
@@ -92,10 +89,7 @@ class LEACE(LowRankEstimator):
 
 
 def _shrinkage(covariance: np.ndarray, n: int, d: int) -> tuple[float, float]:
-    """Weights of the covariance and of the identity in the optimal linear shrinkage (Bodnar et al. 2014).
-
-    Needs only trace and Frobenius norm, which the ``n × n`` form of the covariance shares.
-    """
+    """Weights of covariance and identity (Bodnar et al. 2014) from trace and norm, which the ``n × n`` form shares."""
     trace = float(np.trace(covariance))
     spread = float((covariance**2).sum()) - trace**2 / d
     alpha = 1 - min(1.0, trace**2 / n / spread) if spread > 0 else 0.0

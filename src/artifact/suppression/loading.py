@@ -22,10 +22,7 @@ _SHAPES = {
 def load_transform(path: str | os.PathLike[str]) -> LowRankMap | STD:
     """Read a transform that ``LowRankMap.save`` or ``STD.save`` wrote; nothing in the file is run.
 
-    Raises
-    ------
-    OSError, ValueError
-        If the file cannot be opened; if it is anything else than a saved transform.
+    Raises ``OSError`` if the file cannot be opened, ``ValueError`` if it is anything else than a saved transform.
     """
     try:
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
@@ -40,14 +37,10 @@ def load_transform(path: str | os.PathLike[str]) -> LowRankMap | STD:
     lengths: dict[str, int] = {}
     for name, axes in _SHAPES[kind].items():
         array = arrays.get(name)
-        if (
-            array is None
-            or array.ndim != len(axes)
-            or array.dtype.kind not in "fiuU"
-            or any(lengths.setdefault(a, n) != n for a, n in zip(axes, array.shape, strict=True))
-        ):
+        fits = array is not None and array.ndim == len(axes) and array.dtype.kind in "fiuU"
+        if not fits or any(lengths.setdefault(a, n) != n for a, n in zip(axes, arrays[name].shape, strict=True)):
             raise _refusal(path, f"its {name!r} is missing or does not fit the others")
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
+        if arrays[name].dtype.kind == "f" and not np.isfinite(arrays[name]).all():
             raise _refusal(path, f"its {name!r} is not finite")
     if kind == "low-rank map":
         return LowRankMap(**arrays)

@@ -20,15 +20,7 @@ from artifact.suppression.samples import checked_rows
 
 @dataclass(frozen=True)
 class LowRankMap:
-    """The map ``r(x) = x - left @ (right.T @ x - offset)``.
-
-    Attributes
-    ----------
-    left, right
-        ``(d, k)`` float64.
-    offset
-        ``(k,)`` float64.
-    """
+    """The map ``x - left @ (right.T @ x - offset)``: ``left``, ``right`` ``(d, k)``, ``offset`` ``(k,)``, float64."""
 
     left: np.ndarray
     right: np.ndarray
@@ -86,14 +78,9 @@ class LowRankEstimator(TransformerMixin, BaseEstimator):
 
 
 def compose(*steps: LowRankMap | LowRankEstimator) -> LowRankMap:
-    """Return one map that applies several fitted INLP or LEACE estimators, or low-rank maps, in order.
+    """Return one map that applies fitted INLP or LEACE estimators, or low-rank maps, in order, normalising nothing.
 
-    Nothing is normalised in between.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a step has no low-rank form, as STD; if there is no step, or widths differ.
+    Raises ``TypeError`` if a step has no low-rank form, as STD; ``ValueError`` if there is no step, or widths differ.
 
     Examples
     --------

@@ -11,6 +11,7 @@ from scipy import linalg
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.svm import LinearSVC
 
+from artifact.datasets.positives import as_columns
 from artifact.suppression.regions import longest_direction
 
 _BLOCK = 2**23  # values that are transformed and widened at a time
@@ -26,7 +27,7 @@ class Half(NamedTuple):
 
 
 class Guardedness(NamedTuple):
-    """Test ``accuracy`` of a probe as a fraction (0.5 is chance), and whether it ``converged`` in its default iterations."""
+    """Test accuracy of a probe as a fraction (0.5 is chance), and whether it converged in its default iterations."""
 
     accuracy: float
     converged: bool
@@ -44,11 +45,11 @@ def probe(
 ) -> Guardedness:
     """Train a ``LinearSVC`` with its defaults to tell queries from database images, and test it on other places.
 
-    It trains on one spatial half of the images and tests on the other, with a gap between them. With fewer rows than columns
-    it runs on the triangular factor L of their inner products, ``L L' = X X'``: the solver (dual coordinate descent) sees
-    inner products only, so this is the same algorithm in exact arithmetic, at a cost of n instead of d per sample. Half of
-    L is zero and takes no memory in the solver, which turns each value into 16 bytes: n² float64 and as much again,
-    instead of six times the float32 descriptors. Descriptors are transformed some rows at a time.
+    It trains on one spatial half of the images and tests on the other, with a gap between them. With fewer rows than
+    columns it runs on the triangular factor L of their inner products, ``L L' = X X'``: the solver (dual coordinate
+    descent) sees inner products only, so this is the same algorithm in exact arithmetic, at a cost of n instead of d
+    per sample. Half of L is zero and takes no memory in the solver, which turns each value into 16 bytes: n² float64
+    and as much again, instead of six times the float32 descriptors. Descriptors are transformed some rows at a time.
 
     Parameters
     ----------
@@ -57,8 +58,8 @@ def probe(
     query_positions, database_positions, threshold
         Positions ``(n, p)`` or ``(n,)`` in metres or frames, and the positive threshold in the same unit.
     transform
-        A fitted :class:`~artifact.INLP`, :class:`~artifact.LEACE` or :class:`~artifact.LowRankMap` to apply first, or an
-        :class:`~artifact.STD` that was fitted with the conditions 0 (queries) and 1 (database).
+        A fitted :class:`~artifact.INLP`, :class:`~artifact.LEACE` or :class:`~artifact.LowRankMap` to apply first, or
+        an :class:`~artifact.STD` that was fitted with the conditions 0 (queries) and 1 (database).
     seed
         Seed of the balancing and of the solver.
 
@@ -75,13 +76,17 @@ def probe(
     1.0
     """
     train, test = probe_split(query_positions, database_positions, threshold, seed)
-    apply = _applied(transform)
 
     def blocks(half: Half) -> _Blocks:
         step, start = max(1, _BLOCK // queries.shape[1]), 0
         for condition, (images, rows) in enumerate(zip((queries, database), half, strict=True)):
             for first in range(0, len(rows), step):
-                block = apply(images[rows[first : first + step]], condition).astype(np.float64)
+                block = images[rows[first : first + step]]
+                if hasattr(transform, "low_rank"):
+                    block = transform.transform(block)
+                elif transform is not None:
+                    block = transform.transform(block, condition)
+                block = block.astype(np.float64)
                 yield slice(start, start := start + len(block)), block
 
     with warnings.catch_warnings(record=True) as caught:
@@ -98,11 +103,11 @@ def probe_split(
 ) -> tuple[Half, Half]:
     """Return the halves of the evaluation region to train and to test on, balanced, with a gap between them.
 
-    The border is at the median of the query positions along their longest direction. Images within half the threshold of it
-    leave, so that no image of one half is within the threshold of one of the other; the larger group of each half is thinned at random.
+    The border is at the median of the query positions along their longest direction. Images within half the threshold
+    of it leave, so that no image of one half is within the threshold of one of the other; the larger group of each half
+    is thinned at random.
     """
-    places = [np.asarray(positions, np.float64) for positions in (query_positions, database_positions)]
-    places = [where[:, None] if where.ndim == 1 else where for where in places]
+    places = [as_columns(positions) for positions in (query_positions, database_positions)]
     direction = longest_direction(places[0])
     along = [where @ direction for where in places]
     border = np.median(along[0])
@@ -112,25 +117,22 @@ def probe_split(
         groups = [np.flatnonzero(sign * (values - border) > threshold / 2) for values in along]
         size = min(map(len, groups))
         if size < 2:
-            raise ValueError(
-                f"a half of the evaluation region, beyond a gap of {threshold:g}, has {size} images of one "
-                f"condition; a probe needs two of each"
+            found = (
+                f"a half of the evaluation region, beyond a gap of {threshold:g}, has {size} images of one condition"
             )
+            raise ValueError(f"{found}; a probe needs two of each")
         halves.append(Half(*(np.sort(generator.choice(group, size, replace=False)) for group in groups)))
     return halves[0], halves[1]
-
-
-def _applied(transform: Any) -> Callable[[np.ndarray, int], np.ndarray]:
-    if transform is None:
-        return lambda X, _: X
-    return (lambda X, _: transform.transform(X)) if hasattr(transform, "low_rank") else transform.transform
 
 
 def _classifier(blocks: Callable[[], _Blocks], n: int, d: int, seed: int) -> tuple[np.ndarray, float]:
     """Fit the classifier to rows of which the second half is one class; return its weights and intercept."""
     labels = np.repeat([0, 1], n // 2)
     if n >= d:
-        fitted = LinearSVC(random_state=seed).fit(_stacked(blocks(), n, d), labels)
+        X = np.empty((n, d))
+        for rows, block in blocks():
+            X[rows] = block
+        fitted = LinearSVC(random_state=seed).fit(X, labels)
         return fitted.coef_[0], float(fitted.intercept_[0])
     factor = _factor(blocks, n)
     fitted = LinearSVC(random_state=seed, dual=True).fit(factor, labels)
@@ -139,13 +141,6 @@ def _classifier(blocks: Callable[[], _Blocks], n: int, d: int, seed: int) -> tup
     for rows, block in blocks():
         weights += shares[rows] @ block
     return weights, float(fitted.intercept_[0])
-
-
-def _stacked(blocks: _Blocks, n: int, d: int) -> np.ndarray:
-    X = np.empty((n, d))
-    for rows, block in blocks:
-        X[rows] = block
-    return X
 
 
 def _factor(blocks: Callable[[], _Blocks], n: int) -> np.ndarray:

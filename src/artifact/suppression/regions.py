@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from artifact.datasets.positives import positives_of
+from artifact.datasets.positives import as_columns, positives_of
 
 Where = Literal["centre", "edge"]
 
@@ -51,23 +51,19 @@ def fit_region(positions: np.ndarray, fraction: float, where: Where = "centre") 
     >>> fit_region(np.arange(10.0), 0.2, "edge")
     array([0, 1])
     """
-    positions = np.asarray(positions, np.float64)
-    positions = positions[:, None] if positions.ndim == 1 else positions
+    positions = as_columns(positions)
     if not 0 <= fraction <= 1:
         raise ValueError(f"fraction is {fraction!r}; allowed: numbers from 0 to 1")
     n = len(positions)
     if n == 0:
         return np.zeros(0, np.int64)
-    # ceil of a rounded product: 0.1 * 30 must take 3 and not 4
-    count = math.ceil(round(fraction * n, 9))
+    count = math.ceil(round(fraction * n, 9))  # 0.1 * 30 must take 3 and not 4
     if where == "edge":
-        along = positions @ longest_direction(positions)
-        order = np.argsort(along, kind="stable")
+        order = np.argsort(positions @ longest_direction(positions), kind="stable")
     elif where != "centre":
         raise ValueError(f"where is {where!r}; allowed: 'centre', 'edge'")
     elif positions.shape[1] == 1:
-        start = (n - count) // 2
-        order = np.argsort(positions[:, 0], kind="stable")[start:]
+        order = np.argsort(positions[:, 0], kind="stable")[(n - count) // 2 :]
     else:
         order = np.argsort(np.linalg.norm(positions - positions.mean(axis=0), axis=1), kind="stable")
     return np.sort(order[:count])
@@ -99,25 +95,19 @@ def split(
         Share of the evaluated queries, those with a positive, in the fitting region.
     evaluation_fraction
         Keep the evaluation region fixed: the share of the queries that lies outermost (paper Fig. 10 uses 0.5, and
-        varies ``fraction`` up to it). Default: all that is not in the fitting region. The two may not exceed 1 together.
+        varies ``fraction`` up to it). Default: all outside the fitting region. Their sum may not exceed 1.
     where
         As in :func:`fit_region`.
     """
     reserved = fraction if evaluation_fraction is None else 1 - evaluation_fraction
     if fraction > reserved + 1e-12:
         raise ValueError(f"fraction {fraction:g} and evaluation_fraction {evaluation_fraction:g} exceed 1 together")
-    everything = np.arange(len(query_positions))
     evaluated = np.flatnonzero(np.diff(positives_of(query_positions, database_positions, threshold)[0]))
     fit_queries = evaluated[fit_region(query_positions[evaluated], fraction, where)]
     excluded = evaluated[fit_region(query_positions[evaluated], reserved, where)]
-    return Split(
-        fit_queries=fit_queries,
-        fit_database=_colocated(query_positions[fit_queries], database_positions, threshold),
-        evaluation_queries=np.setdiff1d(everything, excluded),
-        evaluation_database=np.setdiff1d(
-            np.arange(len(database_positions)), _colocated(query_positions[excluded], database_positions, threshold)
-        ),
-    )
+    near, away = (_colocated(query_positions[q], database_positions, threshold) for q in (fit_queries, excluded))
+    rest = np.setdiff1d(np.arange(len(query_positions)), excluded)
+    return Split(fit_queries, near, rest, np.setdiff1d(np.arange(len(database_positions)), away))
 
 
 def _colocated(query_positions: np.ndarray, database_positions: np.ndarray, threshold: float) -> np.ndarray:

@@ -31,7 +31,7 @@ def checked_fit(X: np.ndarray, condition: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def checked_rows(X: np.ndarray, width: int) -> np.ndarray:
-    """Return descriptors to transform, in float32 unless they are float64, or raise ``ValueError`` if they do not fit."""
+    """Return descriptors to transform, in float32 unless float64, or raise ``ValueError`` if they do not fit."""
     X = np.asarray(X)
     if X.ndim != 2 or X.shape[1] != width:
         raise ValueError(f"descriptors have the shape {X.shape}; this transform was fitted on (n, {width})")

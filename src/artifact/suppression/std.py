@@ -39,7 +39,7 @@ class STD(BaseEstimator):
     def fit(self, X: np.ndarray, condition: np.ndarray) -> STD:
         """Fit on descriptors ``(n, d)`` and their conditions ``(n,)``.
 
-        Raises ``ValueError`` for fewer than two conditions or two rows in one, and for constant or infinite descriptors.
+        Raises ``ValueError`` for less than two conditions or rows in one, and for constant or infinite descriptors.
         """
         X, condition = checked_fit(X, condition)
         self.conditions_ = np.unique(condition)
@@ -58,18 +58,16 @@ class STD(BaseEstimator):
     def transform(self, X: np.ndarray, condition: np.ndarray | int, *, copy: bool = True) -> np.ndarray:
         """Standardise descriptors ``(n, d)`` by their conditions, ``(n,)`` or one for all; the dtype is kept.
 
-        ``copy=False`` writes the result into ``X`` itself if that is float32 or float64.
-
-        Raises ``ValueError`` if the width differs, or a condition was not seen at fit.
+        ``copy=False`` writes the result into ``X`` itself if that is float32 or float64. Raises ``ValueError`` if the
+        width differs, or a condition was not seen at fit.
         """
         check_is_fitted(self)
         X = checked_rows(given := np.asarray(X), self.mean_.shape[1])
         rows = np.broadcast_to(np.asarray(condition), len(X))
         unseen = np.setdiff1d(rows, self.conditions_)
         if unseen.size:
-            raise ValueError(
-                f"condition {unseen[0]} was not seen at fit; the conditions are {self.conditions_.tolist()}"
-            )
+            seen = self.conditions_.tolist()
+            raise ValueError(f"condition {unseen[0]} was not seen at fit; the conditions are {seen}")
         mean, scale = self.mean_.astype(X.dtype), self.scale_.astype(X.dtype)
         index = np.searchsorted(self.conditions_, rows)
         out = np.empty_like(X) if copy and X is given else X
