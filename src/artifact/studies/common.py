@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from artifact.extraction.described import Described
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError
-from artifact.metrics.statistics import interval_of_means
+from artifact.metrics import statistics
+from artifact.metrics.result import Result
 from artifact.studies.evaluated import Measured
 
 PERCENT = 100.0
@@ -24,29 +26,39 @@ class NothingToShowError(ManifestError):
 
 @dataclass(frozen=True)
 class Study:
-    """A result with its provenance.
+    """A tidy frame with one record per traversal and method used: number of images, descriptor key and source.
 
-    Attributes
-    ----------
-    table
-        Tidy frame.
-    inputs
-        One record per traversal and method used: number of images, descriptor key and source.
+    ``replicates`` hold, for some columns of numbers, what the bootstrap makes of them: ``(rows, count)``, in the unit of the
+    column. Rows of the same queries were resampled by the same draws, so that replicates of a difference are differences of
+    replicates.
     """
 
     table: pd.DataFrame
     inputs: tuple[dict[str, Any], ...]
+    replicates: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
-def origin(measured: Measured) -> str:
+def joined(studies: Sequence[Study]) -> Study:
+    """Put the rows of studies with the same columns one after another."""
+    table = pd.concat([one.table for one in studies], ignore_index=True)
+    sample = {name: np.concatenate([one.replicates[name] for one in studies]) for name in studies[0].replicates}
+    return Study(table, tuple(record for one in studies for record in one.inputs), sample)
+
+
+def origin(measured: Measured | Described) -> str:
     """Say in words what a measurement is from."""
     sources = {record["source"] for record in measured.inputs}
     if "given descriptors" in sources:
         return "given descriptors" if measured.dataset.real else "made descriptors"
     if not measured.dataset.real:
         return "rendered images"
-    stored = any(record["source"] != "images" for record in measured.inputs)
-    return "real images, shipped descriptors" if stored else "real images"
+    return "real images" if sources <= {"images"} else "real images, shipped descriptors"
+
+
+def cell_of(manifest: Manifest, dataset: str, method: str) -> dict[str, Any]:
+    """Return the columns that say of which dataset and method a row is."""
+    entry = manifest.dataset(dataset)
+    return {"dataset": dataset, "reported_as": entry.reported_as, "title": entry.title, "method": method}
 
 
 def single_stage(manifest: Manifest, methods: Iterable[str]) -> list[str]:
@@ -64,10 +76,21 @@ def require_single_stage(manifest: Manifest, method: str) -> None:
         raise ManifestError(f"method {method!r} re-ranks; suppression and mixed databases take methods of one stage")
 
 
-def percent_interval(values: np.ndarray, evaluation: Any, *, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Return the 95 % intervals, in percent, of the means of per-query values ``(n, m)`` of an evaluation."""
-    low, high = interval_of_means(values, evaluation.query_positions, evaluation.threshold, seed=seed)
-    return PERCENT * low, PERCENT * high
+def replicated(values: np.ndarray, evaluation: Result, dataset: str, seed: int) -> np.ndarray:
+    """Return replicates ``(m, count)``, in percent, of the means of per-query values ``(n, m)`` of an evaluation."""
+    where = evaluation.query_positions, evaluation.threshold
+    return PERCENT * statistics.replicates(values, *where, seed=seed, stream=dataset)
+
+
+def replicated_hits(evaluation: Result, k: int, dataset: str, seed: int) -> np.ndarray:
+    """Return replicates ``(2, count)`` of R@K and DAR@K in percent."""
+    hits = [evaluation.hits(k, distractors=added) for added in (False, True)]
+    return replicated(np.stack(hits, axis=1), evaluation, dataset, seed)
+
+
+def shares(sample: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends of the 95 % intervals of replicates of shares in percent."""
+    return statistics.ends(sample.clip(0, PERCENT))
 
 
 def is_reported(manifest: Manifest, dataset: str, name: str, k: int = 1) -> bool:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,13 @@ from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
+from artifact.metrics.stored import stored
 from artifact.studies import fitted, reported
-from artifact.studies.common import PERCENT, Study, single_stage
-from artifact.studies.fitted import LOW_RANK
+from artifact.studies.common import PERCENT, Study, cell_of, replicated_hits, single_stage
+from artifact.studies.fitted import LOW_RANK, Fitting
 
 WITHIN_PP = 1.0
 """Difference that Tables IV and V count as equal, in percentage points."""
-
 
 FITTING_ORDER = ("nordland", "amstertime", "gardens_point", "svox", "robotcar", "st_lucia")
 """Order in which the paper fits and composes the transforms of its datasets."""
@@ -43,155 +44,170 @@ def single_against_multi(
     names: Sequence[str],
     methods: Iterable[str],
     *,
-    fraction: float = 0.1,
-    iterations: int = 35,
     k: int = 1,
-    seed: int = 0,
+    suppressors: Sequence[str] = LOW_RANK,
+    **fitting: Any,
 ) -> Study:
-    """Table IV: one transform per dataset against the composition of all of them.
+    """Table IV: one transform per dataset, fitted as :class:`Fitting` says, against the composition of all of them.
 
-    Returns
-    -------
-    Study
-        One row per suppression method, dataset and method: ``suppression``, ``dataset``, ``title``, ``method``,
-        ``single_R``, ``single_DAR``, ``multi_R``, ``multi_DAR`` in percent, and ``difference_R``, ``difference_DAR``
-        (single minus multi) in percentage points.
+    ``suppressors`` are INLP and LEACE, or one of them.
+
+    Columns: ``suppression``, ``dataset``, ``reported_as``, ``title``, ``method``, ``single_R``, ``single_DAR``,
+    ``multi_R``, ``multi_DAR`` in percent, ``queries``, and ``difference_R``, ``difference_DAR`` (single minus multi) in
+    percentage points.
     """
-    rows, inputs = [], []
+    how = Fitting(**fitting)
+    rows, inputs, sample = [], [], []
     for method in single_stage(manifest, methods):
-        for suppressor in LOW_RANK:
-            erasure, described = fitted.sequential(
-                manifest, names, method, suppressor, fraction=fraction, iterations=iterations, seed=seed
+        described = {name: describe(manifest, name, method) for name in names}
+        for suppressor in suppressors:
+            for name, found in _evaluate_both(manifest, described, method, suppressor, how).items():
+                row = {"suppression": suppressor} | cell_of(manifest, name, method)
+                views = "single", "multi"
+                rows.append(row | _differences({view: found[view] for view in views}, k))
+                single, multi = (replicated_hits(found[view], k, name, how.seed) for view in views)
+                sample.append(single - multi)
+                inputs += described[name].inputs
+    return Study(pd.DataFrame(rows), tuple(inputs), _by_difference(sample))
+
+
+def _by_difference(sample: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """Replicates of the differences of R and DAR from those of each row, ``(2, count)``."""
+    return dict(zip(("difference_R", "difference_DAR"), np.stack(sample, axis=1), strict=True)) if sample else {}
+
+
+def _evaluate_both(
+    manifest: Manifest, described: Mapping[str, Described], method: str, suppressor: str, how: Fitting
+) -> dict[str, Evaluation]:
+    """Evaluate each dataset under its own transform, ``single``, and under the composition of all, ``multi``."""
+
+    def compute() -> dict[str, Any]:
+        erasure = fitted.sequential(manifest, described, method, suppressor, how)
+        found = {}
+        for name, one in described.items():
+            views = {"single": erasure.single[name], "multi": erasure.composed}
+            found[name] = fitted.evaluate_region(
+                one, fitted.split_of(one.dataset, how.fraction), views, seed=how.seed, draws=0, depth=1
             )
-            for name, one in described.items():
-                region = fitted.split_of(one.dataset, fraction)
-                views = {"single": erasure.single[name], "multi": erasure.composed}
-                found = fitted.evaluate_region(one, region, views, seed=seed)
-                row: dict[str, Any] = {
-                    "suppression": suppressor,
-                    "dataset": name,
-                    "reported_as": manifest.dataset(name).reported_as,
-                    "title": one.dataset.title,
-                    "method": method,
-                }
-                for view in views:
-                    row |= {f"{view}_R": PERCENT * found[view].recall(k), f"{view}_DAR": PERCENT * found[view].dar(k)}
-                row["queries"] = found["single"].n_queries
-                row |= {
-                    f"difference_{metric}": row[f"single_{metric}"] - row[f"multi_{metric}"] for metric in ("R", "DAR")
-                }
-                rows.append(row)
-                inputs += one.inputs
-    return Study(pd.DataFrame(rows), tuple(inputs))
+        return found
+
+    key = fitted.key_of("single and multi", list(described.values()), [suppressor, list(described), *astuple(how)])
+    return stored(manifest, key, compute, {"datasets": list(described), "method": method, "stage": "composition"})
 
 
 def irrelevant_conditions(
-    manifest: Manifest,
-    names: Sequence[str],
-    methods: Iterable[str],
-    *,
-    fraction: float = 0.1,
-    iterations: int = 35,
-    k: int = 1,
-    seed: int = 0,
+    manifest: Manifest, names: Sequence[str], methods: Iterable[str], *, k: int = 1, **fitting: Any
 ) -> Study:
-    """Table V: the composed transform on condition pairs that it was not fitted on.
+    """Table V: the composed transform of :class:`Fitting` on condition pairs that it was not fitted on.
 
     The pairs are the ``irrelevant_pairs`` of the datasets in the manifest. A dataset that is fitted on the pair itself
-    leaves the composition, and the places of every region that an applied transform was fitted on stay out.
-
-    Returns
-    -------
-    Study
-        One row per suppression method, pair and method: ``suppression``, ``pair`` (conditions), ``dataset``,
-        ``method``, ``original_R``, ``original_DAR``, ``erased_R``, ``erased_DAR`` in percent, ``difference_R`` and
-        ``difference_DAR`` (original minus erased) in percentage points.
+    leaves the composition, and the places of every region that an applied transform was fitted on stay out. Columns:
+    ``suppression``, ``pair`` (conditions), ``dataset``, ``reported_as``, ``title``, ``method``, ``queries``,
+    ``original_R``, ``original_DAR``, ``erased_R``, ``erased_DAR`` in percent, ``difference_R`` and ``difference_DAR``
+    (original minus erased) in percentage points.
     """
-    rows, inputs = [], []
+    how = Fitting(**fitting)
+    rows, inputs, sample = [], [], []
     for method in single_stage(manifest, methods):
         for name in names:
             entry = manifest.dataset(name)
-            for query, database in entry.irrelevant_pairs:
-                chosen = [other for other in names if not _is_pair(manifest, other, name, query, database)]
-                erasures = {
-                    suppressor: fitted.sequential(
-                        manifest, chosen, method, suppressor, fraction=fraction, iterations=iterations, seed=seed
-                    )[0].composed
-                    for suppressor in LOW_RANK
-                }
-                described = describe(manifest, name, method, [query, database])
-                places = fitted_places(manifest, chosen, name, fraction)
-                result = _evaluate_pair(described, query, database, places, erasures, seed)
-                conditions = [entry.traversals[traversal].condition for traversal in (query, database)]
-                pair = "–".join(conditions) if len(set(conditions)) > 1 else f"{query}–{database}"
+            for pair in entry.irrelevant_pairs:
+                chosen = [other for other in names if not _is_pair(manifest, other, name, pair)]
+                described = describe(manifest, name, method, pair)
+                result = _evaluate_pair(manifest, described, pair, chosen, how)
+                reference = replicated_hits(result, k, name, how.seed)
+                conditions = [entry.traversals[traversal].condition for traversal in pair]
+                title = "–".join(conditions if len(set(conditions)) > 1 else pair)
                 for suppressor in LOW_RANK:
-                    before, after = result, result[suppressor]
-                    row: dict[str, Any] = {
-                        "suppression": suppressor,
-                        "pair": pair,
-                        "dataset": name,
-                        "reported_as": entry.reported_as,
-                        "title": entry.title,
-                        "method": method,
-                        "queries": before.n_queries,
-                    }
-                    row |= {"original_R": PERCENT * before.recall(k), "original_DAR": PERCENT * before.dar(k)}
-                    row |= {"erased_R": PERCENT * after.recall(k), "erased_DAR": PERCENT * after.dar(k)}
-                    row |= {f"difference_{m}": row[f"original_{m}"] - row[f"erased_{m}"] for m in ("R", "DAR")}
-                    rows.append(row)
+                    row = {"suppression": suppressor, "pair": title} | cell_of(manifest, name, method)
+                    views = {"original": result, "erased": result[suppressor]}
+                    rows.append(row | {"queries": result.n_queries} | _differences(views, k))
+                    sample.append(reference - replicated_hits(result[suppressor], k, name, how.seed))
                 inputs += described.inputs
-    return Study(pd.DataFrame(rows), tuple(inputs))
+    return Study(pd.DataFrame(rows), tuple(inputs), _by_difference(sample))
 
 
-def _is_pair(manifest: Manifest, other: str, name: str, query: str, database: str) -> bool:
+def _differences(views: Mapping[str, Evaluation], k: int) -> dict[str, float]:
+    """R and DAR of two evaluations of the same queries in percent, and the first minus the second."""
+    (first, one), (second, other) = views.items()
+    row = {f"{first}_R": PERCENT * one.recall(k), f"{first}_DAR": PERCENT * one.dar(k)}
+    row |= {f"{second}_R": PERCENT * other.recall(k), f"{second}_DAR": PERCENT * other.dar(k)}
+    row["queries"] = one.n_queries
+    return row | {
+        f"difference_{metric}": row[f"{first}_{metric}"] - row[f"{second}_{metric}"] for metric in ("R", "DAR")
+    }
+
+
+def _is_pair(manifest: Manifest, other: str, name: str, pair: Sequence[str]) -> bool:
     """Whether a dataset is fitted on just this pair of traversals."""
     entry = manifest.dataset(other)
     same = (entry.root or other) == (manifest.dataset(name).root or name)
-    return same and {entry.query, entry.database} == {query, database}
+    return same and {entry.query, entry.database} == set(pair)
 
 
 def fitted_places(
     manifest: Manifest, names: Iterable[str], name: str, fraction: float
 ) -> list[tuple[np.ndarray, float]]:
-    """Return the places that transforms of several datasets were fitted on, in the coordinates of one dataset.
+    """Return where transforms of several datasets were fitted, for those that share the coordinates of ``name``.
 
-    Returns
-    -------
-    list
-        Positions ``(n, p)`` of the fitting queries of each dataset that shares these coordinates, with its threshold.
+    For each: positions ``(n, p)`` of the fitting queries, and the threshold.
     """
 
     def frame(of: str) -> str:
         entry = manifest.dataset(of)
         return entry.coordinates or entry.root or of
 
-    shared = [other for other in names if frame(other) == frame(name)]
     found = []
-    for other in shared:
-        dataset = datasets.load(manifest, other)
-        rows = fitted.split_of(dataset, fraction).fit_queries
-        found.append((dataset.query.positions[rows], dataset.threshold))
+    for other in names:
+        if frame(other) == frame(name):
+            dataset = datasets.load(manifest, other)
+            rows = fitted.split_of(dataset, fraction).fit_queries
+            found.append((dataset.query.positions[rows], dataset.threshold))
     return found
 
 
 def _evaluate_pair(
-    described: Described,
-    query: str,
-    database: str,
-    places: Sequence[tuple[np.ndarray, float]],
-    views: dict[str, Any],
-    seed: int,
+    manifest: Manifest, described: Described, pair: Sequence[str], names: Sequence[str], how: Fitting
 ) -> Evaluation:
-    """Evaluate a pair of traversals at the places that no transform was fitted on."""
-    values, positions = [], []
-    for name in (query, database):
-        where = described.dataset.traversals[name].positions
-        kept = np.ones(len(where), bool)
-        for fitting_places, threshold in places:
-            kept &= cKDTree(fitting_places).query(where)[0] > threshold
-        values.append(described.descriptors[name].values[kept])
-        positions.append(where[kept])
-    return evaluate(*values, *positions, described.dataset.threshold, views=views, seed=seed)
+    """Evaluate a pair of traversals under the composed transforms of datasets, at the places that none was fitted on."""
+    dataset, method = described.dataset, described.method
+    others = {other: describe(manifest, other, method) for other in names}
+    places = fitted_places(manifest, names, dataset.name, how.fraction)
+
+    def compute() -> dict[str, Any]:
+        views = {name: fitted.sequential(manifest, others, method, name, how).composed for name in LOW_RANK}
+        values, positions = [], []
+        for name in pair:
+            where = dataset.traversals[name].positions
+            kept = np.ones(len(where), bool)
+            for fitting_places, threshold in places:
+                kept &= cKDTree(fitting_places).query(where)[0] > threshold
+            values.append(described.descriptors[name].values[kept])
+            positions.append(where[kept])
+        return {"views": evaluate(*values, *positions, dataset.threshold, views=views, seed=how.seed, draws=0, depth=1)}
+
+    key = fitted.key_of("irrelevant pair", [described, *others.values()], [list(pair), names, places, *astuple(how)])
+    record = {"dataset": dataset.name, "datasets": list(names), "method": method, "stage": "irrelevant pair"}
+    return stored(manifest, key, compute, record)["views"]
+
+
+FEW_ITERATIONS = (1, 5)
+"""Numbers of iterations of INLP that Table IV shows beside the one asked for."""
+
+
+def by_iterations(
+    manifest: Manifest, names: Sequence[str], methods: Sequence[str], *, k: int = 1, **fitting: Any
+) -> pd.DataFrame:
+    """Summarise Table IV for INLP of :data:`FEW_ITERATIONS` and as many as :class:`Fitting` says, a row each.
+
+    On small regions 35 iterations remove as many directions as there are images to fit on: all that the images span.
+    """
+    how, tables = Fitting(**fitting), []
+    for number in sorted({*FEW_ITERATIONS, how.iterations}):
+        options = {**fitting, "iterations": number}
+        study = single_against_multi(manifest, names, methods, k=k, suppressors=["INLP"], **options)
+        tables.append(study.table.assign(iterations=number))
+    return summary(pd.concat(tables, ignore_index=True), ["suppression", "iterations"])
 
 
 def summary(table: pd.DataFrame, by: Sequence[str], *, ddof: int = 1) -> pd.DataFrame:
@@ -202,24 +218,16 @@ def summary(table: pd.DataFrame, by: Sequence[str], *, ddof: int = 1) -> pd.Data
     table
         As from :func:`single_against_multi` or :func:`irrelevant_conditions`.
     by
-        Columns to group by.
+        Columns to group by: a row each, with ``pairs``, and for DAR and R ``mean``, ``std`` and ``within`` columns.
     ddof
         Of the standard deviation; the paper does not say which, 1 is that of a sample.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row per group: ``by``, ``pairs``, and for DAR and R ``mean``, ``std`` and ``within`` columns.
     """
     rows = []
     for keys, part in table.groupby(list(by), sort=False):
         row = dict(zip(by, keys, strict=True)) | {"pairs": len(part)}
         for metric in ("DAR", "R"):
             values = part[f"difference_{metric}"]
-            row |= {
-                f"mean_{metric}": values.mean(),
-                f"std_{metric}": values.std(ddof=ddof),
-                f"within_{metric}": int((np.abs(values) <= WITHIN_PP + 1e-9).sum()),
-            }
+            row |= {f"mean_{metric}": values.mean(), f"std_{metric}": values.std(ddof=ddof)}
+            row[f"within_{metric}"] = int((np.abs(values) <= WITHIN_PP + 1e-9).sum())
         rows.append(row)
     return pd.DataFrame(rows)

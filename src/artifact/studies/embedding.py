@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.spatial import cKDTree
 
 from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.metrics.stored import stored
 from artifact.studies import fitted
 from artifact.studies.common import NothingToShowError, require_single_stage
-from artifact.studies.fitted import key_of
 from artifact.suppression.inlp import INLP
 
 _FEWEST = 6  # images that UMAP can place
@@ -23,24 +23,18 @@ _FEWEST = 6  # images that UMAP can place
 
 @dataclass(frozen=True)
 class Embedding:
-    """Two-dimensional embeddings of query and database descriptors, before and after suppression.
+    """Embeddings ``(n, 2)`` of query and database descriptors, queries first, before and after suppression.
 
-    Attributes
-    ----------
-    before, after
-        ``(n, 2)`` coordinates, queries first.
-    n_queries
-        How many of the rows are queries.
-    partners
-        ``(m, 2)`` rows of geometrical mutual nearest neighbours: query row, database row.
-    described
-        What was embedded.
+    ``partners`` are geometrical mutual nearest neighbours ``(m, 2)``: query row, database row. ``positions`` are those of the
+    queries and of the database images, ``images`` the indices of the points in their traversals.
     """
 
     before: np.ndarray
     after: np.ndarray
     n_queries: int
     partners: np.ndarray
+    positions: tuple[np.ndarray, np.ndarray]
+    images: np.ndarray
     described: Described
 
 
@@ -64,39 +58,45 @@ def embedding(
             f"{described.dataset.title} has too few images for a map: {sizes[0]} queries and {sizes[1]} database images to fit on "
             f"(2 of each are needed), {rest} images to show ({_FEWEST} are needed)"
         )
-    loaded = described.dataset
-    places = loaded.query.positions[region.evaluation_queries], loaded.database.positions[region.evaluation_database]
-    key = key_of("umap", [described], [fraction, iterations, seed], umap=version("umap-learn"))
+    key = fitted.key_of("umap", [described], [fraction, iterations, seed], umap=version("umap-learn"))
 
     def compute() -> dict[str, Any]:
         inlp = INLP(iterations, seed=seed).fit(*fitted.fitting_data(described, region))
-        queries = described.query.values[region.evaluation_queries]
-        database = described.database.values[region.evaluation_database]
-        rows = np.concatenate([queries, database])
+        shown = fitted.evaluation_region(described, region)
+        rows = np.concatenate([shown.queries, shown.database])
         return {"before": _umap(rows, seed), "after": _umap(inlp.transform(rows), seed)}
 
     found = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "umap"})
-    partners = mutual_neighbours(*places)
-    partners[:, 1] += len(region.evaluation_queries)
-    return Embedding(found["before"], found["after"], len(region.evaluation_queries), partners, described)
+    query, database, n = described.dataset.query, described.dataset.database, len(region.evaluation_queries)
+    rows = region.evaluation_queries, region.evaluation_database
+    positions = query.positions[rows[0]], database.positions[rows[1]]
+    partners = mutual_neighbours(*positions)
+    partners[:, 1] += n
+    return Embedding(found["before"], found["after"], n, partners, positions, np.concatenate(rows), described)
 
 
 def embedding_table(one: Embedding) -> pd.DataFrame:
-    """Return one row per point: ``condition`` (query or database), and its place before and after."""
+    """Return one row per point: ``dataset``, ``method``, ``condition`` (query or database), its place before and after."""
     condition = np.where(np.arange(len(one.before)) < one.n_queries, "query", "database")
-    columns = {
-        "before_x": one.before[:, 0],
-        "before_y": one.before[:, 1],
-        "after_x": one.after[:, 0],
-        "after_y": one.after[:, 1],
-    }
-    return pd.DataFrame({"condition": condition, **columns})
+    places = np.concatenate([one.before, one.after], axis=1)
+    table = pd.DataFrame(places, columns=["before_x", "before_y", "after_x", "after_y"])
+    return table.assign(dataset=one.described.dataset.name, method=one.described.method, condition=condition)
+
+
+def mixed(points: np.ndarray, one: Embedding) -> np.ndarray:
+    """Tell for each query ``(n,)`` whether its nearest neighbour in the plane has the other condition."""
+    return cKDTree(points).query(points[: one.n_queries], 2)[1][:, 1] >= one.n_queries
+
+
+def aligned(points: np.ndarray, one: Embedding) -> np.ndarray:
+    """Tell for each query ``(n,)`` whether the nearest database image in the plane is of its place."""
+    nearest = cKDTree(points[one.n_queries :]).query(points[: one.n_queries])[1]
+    queries, database = one.positions
+    return np.linalg.norm(queries - database[nearest], axis=1) <= one.described.dataset.threshold
 
 
 def nearest_share(points: np.ndarray, one: Embedding) -> float:
     """Return the share of points whose nearest neighbour in the plane has the other condition."""
-    from scipy.spatial import cKDTree
-
     nearest = cKDTree(points).query(points, 2)[1][:, 1]
     is_query = np.arange(len(points)) < one.n_queries
     return float((is_query != is_query[nearest]).mean())
@@ -110,8 +110,6 @@ def mutual_neighbours(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     >>> mutual_neighbours(np.array([[0.0], [7.0]]), np.array([[1.0], [9.0]])).tolist()
     [[0, 0], [1, 1]]
     """
-    from scipy.spatial import cKDTree
-
     there = cKDTree(second).query(first)[1]
     back = cKDTree(first).query(second)[1]
     rows = np.arange(len(first))

@@ -16,8 +16,6 @@ from artifact.metrics.stored import stored
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies import fitted
 from artifact.studies.common import PERCENT, require_single_stage
-from artifact.suppression.inlp import INLP
-from artifact.suppression.leace import LEACE
 from artifact.suppression.regions import Split
 
 PAIRS = 20_000
@@ -40,8 +38,6 @@ class Erased:
         of the classifier fitted next) in percent.
     similarities
         By view and kind of pair (:data:`KINDS`): cosines of at most :data:`PAIRS` pairs.
-    described, split
-        What was evaluated, and where it was fitted.
     """
 
     evaluations: dict[str, Evaluation]
@@ -68,7 +64,7 @@ def what_is_erased(
 
     def compute() -> dict[str, Any]:
         X, condition = fitted.fitting_data(described, region)
-        inlp, leace = INLP(iterations, seed=seed).fit(X, condition), LEACE().fit(X, condition)
+        inlp, leace = fitted.fit(X, condition, fitted.LOW_RANK, iterations=iterations, seed=seed).values()
         steps = {f"INLP {i}": inlp.at(i) for i in range(1, iterations + 1)}
         # The last iteration is the fitted INLP; the ones between need no retrieval lists but share the pass.
         found = fitted.evaluate_region(described, region, {"LEACE": leace, **steps}, retrieve=1, seed=seed)
@@ -97,34 +93,24 @@ def what_is_erased(
 
 def _similarities(described: Described, region: Split, transform: Any, seed: int) -> dict[str, np.ndarray]:
     """Cosines of random pairs of each kind."""
-    found = fitted.evaluation_region(described, region)
-    queries, database, places = found.queries, found.database, (found.query_positions, found.database_positions)
-    n_queries, n_database, threshold = len(queries), len(database), found.threshold
+    queries, database, places, other_places, threshold = fitted.evaluation_region(described, region)
     if transform is not None:
         queries, database = transform.transform(queries), transform.transform(database)
-    queries, database = _unit(queries), _unit(database)
+    queries, database = (part / np.linalg.norm(part, axis=1, keepdims=True) for part in (queries, database))
     generator = np.random.default_rng(seed)
 
     def cosines(of: np.ndarray, pairs: np.ndarray) -> np.ndarray:
         return np.einsum("nd,nd->n", queries[pairs[:, 0]], of[pairs[:, 1]]).astype(np.float32)
 
-    starts, near = positives_of(*places, threshold)
-    positive = np.column_stack([np.repeat(np.arange(n_queries), np.diff(starts)), near])
-    across, within = _random_pairs(n_queries, n_database, generator), _random_pairs(n_queries, n_queries, generator)
-    across = across[_apart(places[0], places[1], across) > threshold]
-    within = within[_apart(places[0], places[0], within) > threshold]
+    def distant_pairs(others: np.ndarray) -> np.ndarray:
+        n, m = len(places), len(others)
+        chosen = generator.choice(n * m, min(PAIRS, n * m), replace=False)
+        first, second = chosen // m, chosen % m
+        away = np.linalg.norm(places[first] - others[second], axis=1) > threshold
+        return np.column_stack([first, second])[away]
+
+    across, within = distant_pairs(other_places), distant_pairs(places)
+    starts, near = positives_of(places, other_places, threshold)
+    positive = np.column_stack([np.repeat(np.arange(len(places)), np.diff(starts)), near])
     kept = positive[np.sort(generator.permutation(len(positive))[:PAIRS])]
     return dict(zip(KINDS, (cosines(database, kept), cosines(queries, within), cosines(database, across)), strict=True))
-
-
-def _random_pairs(first: int, second: int, generator: np.random.Generator) -> np.ndarray:
-    chosen = generator.choice(first * second, min(PAIRS, first * second), replace=False)
-    return np.column_stack([chosen // second, chosen % second])
-
-
-def _apart(first: np.ndarray, second: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(first[pairs[:, 0]] - second[pairs[:, 1]], axis=1)
-
-
-def _unit(values: np.ndarray) -> np.ndarray:
-    return values / np.linalg.norm(values, axis=1, keepdims=True)

@@ -6,10 +6,10 @@ and gets a pass of its own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,20 +35,21 @@ LOW_RANK = ("INLP", "LEACE")
 METHODS = (*LOW_RANK, "STD")
 """The paper's three suppression methods."""
 
+_PARTS = ("left", "right", "offset")  # of a low-rank map
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """How suppression is fitted: share of the queries to fit on, INLP's iterations, seed of INLP and the probe."""
+
+    fraction: float = 0.1
+    iterations: int = 35
+    seed: int = 0
+
 
 @dataclass(frozen=True)
 class Suppressed:
-    """The outcome of one fit: evaluations and probe accuracies on the same evaluation region.
-
-    Attributes
-    ----------
-    evaluations
-        By suppression method, ``"original"`` first.
-    probes
-        What the guardedness probe found, by suppression method.
-    described, split
-        What was evaluated, and where it was fitted.
-    """
+    """Evaluations and probes on the same evaluation region, by suppression method, ``"original"`` first."""
 
     evaluations: dict[str, Evaluation]
     probes: dict[str, Guardedness]
@@ -56,19 +57,8 @@ class Suppressed:
     split: Split
 
 
-@dataclass(frozen=True)
-class Region:
-    """Descriptors and positions of an evaluation region.
-
-    Attributes
-    ----------
-    queries, database
-        ``(n, d)`` descriptors.
-    query_positions, database_positions
-        ``(n, p)`` in the unit of ``threshold``.
-    threshold
-        Positive threshold in metres or frames.
-    """
+class Region(NamedTuple):
+    """Descriptors ``(n, d)`` and positions ``(n, p)`` of a region, as :func:`artifact.evaluate` takes them."""
 
     queries: np.ndarray
     database: np.ndarray
@@ -76,21 +66,12 @@ class Region:
     database_positions: np.ndarray
     threshold: float
 
-    @property
-    def places(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Positions and threshold, as :func:`artifact.evaluate` takes them."""
-        return self.query_positions, self.database_positions, self.threshold
 
-
-def evaluation_region(
-    described: Described, where: Split, query: str | None = None, database: str | None = None
-) -> Region:
-    """Return the evaluation region of a split; of another pair of traversals if they are named."""
-    names = query or described.dataset.query_name, database or described.dataset.database_name
-    rows = where.evaluation_queries, where.evaluation_database
-    values = [described.descriptors[name].values[chosen] for name, chosen in zip(names, rows, strict=True)]
-    places = [described.dataset.traversals[name].positions[chosen] for name, chosen in zip(names, rows, strict=True)]
-    return Region(*values, *places, described.dataset.threshold)
+def evaluation_region(described: Described, where: Split) -> Region:
+    """Return the evaluation region of a split."""
+    queries, database, data = where.evaluation_queries, where.evaluation_database, described.dataset
+    values = described.query.values[queries], described.database.values[database]
+    return Region(*values, data.query.positions[queries], data.database.positions[database], data.threshold)
 
 
 def fitting_data(described: Described, where: Split) -> tuple[np.ndarray, np.ndarray]:
@@ -100,13 +81,13 @@ def fitting_data(described: Described, where: Split) -> tuple[np.ndarray, np.nda
     return np.concatenate([queries, database]), np.repeat([QUERY, DATABASE], [len(queries), len(database)])
 
 
-def fit(X: np.ndarray, condition: np.ndarray, *, iterations: int = 35, seed: int = 0) -> dict[str, Any]:
-    """Fit the paper's three suppression methods on the same data."""
-    return {
-        "INLP": INLP(iterations, seed=seed).fit(X, condition),
-        "LEACE": LEACE().fit(X, condition),
-        "STD": STD().fit(X, condition),
-    }
+def fit(
+    X: np.ndarray, condition: np.ndarray, names: Iterable[str] = METHODS, *, iterations: int = 35, seed: int = 0
+) -> dict[str, Any]:
+    """Fit some of the paper's three suppression methods on the same data, in the order of ``names``."""
+    estimators = {"INLP": INLP(iterations, seed=seed), "LEACE": LEACE(), "STD": STD()}
+    with store.stage("fit"):
+        return {name: estimators[name].fit(X, condition) for name in names}
 
 
 def split_of(
@@ -119,84 +100,53 @@ def split_of(
 
 def evaluate_region(described: Described, where: Split, views: Mapping[str, Any], **options: Any) -> Evaluation:
     """Evaluate the original and every view on the evaluation region; the distractors are the evaluation queries."""
-    region = evaluation_region(described, where)
-    return evaluate(region.queries, region.database, *region.places, views=views, **options)
+    return evaluate(*evaluation_region(described, where), views=views, **options)
 
 
 def evaluate_standardised(described: Described, where: Split, standardise: STD, **options: Any) -> Evaluation:
     """Evaluate the evaluation region under STD; distractors carry the query condition."""
-    region = evaluation_region(
-        described, where
-    )  # copies, which may be changed: they can be as large as the memory allows
-    rescaled = (
-        standardise.transform(region.queries, QUERY, copy=False),
-        standardise.transform(region.database, DATABASE, copy=False),
-    )
-    return evaluate(*rescaled, *region.places, **options)
+    # Copies, which may be changed in place: they can be as large as the memory allows.
+    queries, database, *places = evaluation_region(described, where)
+    rescaled = standardise.transform(queries, QUERY, copy=False), standardise.transform(database, DATABASE, copy=False)
+    return evaluate(*rescaled, *places, **options)
 
 
-def compare(
-    manifest: Manifest, dataset: str, method: str, *, fraction: float = 0.1, iterations: int = 35, seed: int = 0
-) -> Suppressed:
-    """Fit INLP, LEACE and STD on one region and evaluate them beside the original on the other (paper Fig. 8).
-
-    Parameters
-    ----------
-    manifest, dataset, method
-        What to evaluate.
-    fraction
-        Share of the queries to fit on.
-    iterations
-        INLP iterations.
-    seed
-        Seed of INLP and of the probe.
-    """
+def compare(manifest: Manifest, dataset: str, method: str, **fitting: Any) -> Suppressed:
+    """Fit INLP, LEACE and STD as :class:`Fitting` says, evaluate them beside the original elsewhere (paper Fig. 8)."""
+    how = Fitting(**fitting)
     described = describe(manifest, dataset, method)
-    where = split_of(described.dataset, fraction)
-    key = key_of("compare", [described], [fraction, iterations, seed])
+    where = split_of(described.dataset, how.fraction)
 
     def compute() -> dict[str, Any]:
-        fitted = fit(*fitting_data(described, where), iterations=iterations, seed=seed)
+        fitted = fit(*fitting_data(described, where), iterations=how.iterations, seed=how.seed)
         return {
-            "views": evaluate_region(described, where, {name: fitted[name] for name in LOW_RANK}, seed=seed),
-            "STD": evaluate_standardised(described, where, fitted["STD"], seed=seed),
-            "probes": _probe_all(described, where, fitted, seed),
+            "views": evaluate_region(described, where, {name: fitted[name] for name in LOW_RANK}, seed=how.seed),
+            "STD": evaluate_standardised(described, where, fitted["STD"], seed=how.seed),
+            "probes": _probes(described, where, fitted, how.seed),
         }
 
+    key = key_of("compare", [described], astuple(how))
     results = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "suppression"})
     evaluations = {name: results["views"][name] for name in (ORIGINAL, *LOW_RANK)} | {"STD": results["STD"]}
-    probes = {
-        name: Guardedness(accuracy, bool(converged))
-        for name, (accuracy, converged) in zip((ORIGINAL, *METHODS), results["probes"].tolist(), strict=True)
-    }
-    return Suppressed(evaluations, probes, described, where)
+    found = [Guardedness(accuracy, bool(converged)) for accuracy, converged in results["probes"].tolist()]
+    return Suppressed(evaluations, dict(zip(evaluations, found, strict=True)), described, where)
 
 
-def _probe_all(described: Described, where: Split, fitted: Mapping[str, Any], seed: int) -> np.ndarray:
+def _probes(described: Described, where: Split, fitted: Mapping[str, Any], seed: int) -> np.ndarray:
     """Accuracy and convergence ``(4, 2)`` of the probe on the original and the suppressed descriptors."""
     region = evaluation_region(described, where)
-    names = (ORIGINAL, *METHODS)
-    found = [probe(region.queries, region.database, *region.places, transform=fitted.get(n), seed=seed) for n in names]
+    with store.stage("fit"):
+        found = [probe(*region, transform=fitted.get(name), seed=seed) for name in (ORIGINAL, *METHODS)]
     return np.array(found, np.float64)
 
 
 def by_fraction(
     manifest: Manifest, dataset: str, method: str, fractions: Sequence[float], *, iterations: int = 35, seed: int = 0
 ) -> tuple[dict[tuple[str, float], Evaluation], Described]:
-    """Fit on growing regions and evaluate all of them on the same outer half (paper Fig. 10).
+    """Fit on growing regions, fractions in (0, 0.5], and evaluate all of them on the same outer half (paper Fig. 10).
 
-    Parameters
-    ----------
-    fractions
-        Query fitting fractions in (0, 0.5].
-
-    Returns
-    -------
-    evaluations
-        By suppression method and fraction; ``("original", 0.0)`` is without suppression. A fraction whose region has
-        fewer than two images of a condition is left out.
-    described
-        What was evaluated.
+    Evaluations are by suppression method and fraction; ``("original", 0.0)`` is without suppression. A fraction whose
+    region has fewer than two images of a condition is left out.
     """
     described = describe(manifest, dataset, method)
     regions = {fraction: split_of(described.dataset, fraction, 0.5) for fraction in fractions}
@@ -208,12 +158,11 @@ def by_fraction(
         for fraction, region in usable.items():
             fitted = fit(*fitting_data(described, region), iterations=iterations, seed=seed)
             views |= {f"{name} {fraction!r}": fitted[name] for name in LOW_RANK}
-            standardised[fraction] = fitted["STD"]
+            standardised[f"STD {fraction!r}"] = fitted["STD"]
         region = next(iter(usable.values()))
-        results: dict[str, Any] = {"views": evaluate_region(described, region, views, seed=seed)}
-        for fraction, transform in standardised.items():
-            results[f"STD {fraction!r}"] = evaluate_standardised(described, region, transform, seed=seed)
-        return results
+        return {"views": evaluate_region(described, region, views, seed=seed)} | {
+            name: evaluate_standardised(described, region, std, seed=seed) for name, std in standardised.items()
+        }
 
     results = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "fractions"})
     found = {(ORIGINAL, 0.0): results["views"]}
@@ -225,90 +174,58 @@ def by_fraction(
 
 @dataclass(frozen=True)
 class Erasure:
-    """One suppression method fitted on several datasets in turn, and composed (paper §V-E).
-
-    Attributes
-    ----------
-    composed
-        The transform of all datasets in one map.
-    single
-        The transform fitted on each dataset alone.
-    """
+    """One suppression method fitted on several datasets in turn and composed (paper §V-E), and on each alone."""
 
     composed: LowRankMap
     single: dict[str, LowRankMap]
 
 
 def sequential(
-    manifest: Manifest,
-    names: Sequence[str],
-    method: str,
-    suppressor: str,
-    *,
-    fraction: float = 0.1,
-    iterations: int = 35,
-    seed: int = 0,
-) -> tuple[Erasure, dict[str, Described]]:
-    """Fit one suppression method on dataset after dataset, each on descriptors already erased by the earlier ones.
+    manifest: Manifest, described: Mapping[str, Described], method: str, suppressor: str, how: Fitting
+) -> Erasure:
+    """Fit ``"INLP"`` or ``"LEACE"`` on dataset after dataset, each on descriptors already erased by the earlier ones.
 
-    Parameters
-    ----------
-    names
-        Datasets in the order of fitting.
-    suppressor
-        ``"INLP"`` or ``"LEACE"``.
-
-    Returns
-    -------
-    erasure
-        The composed transform and the single ones.
-    described
-        The datasets' descriptors.
+    ``described`` are the datasets by name, in the order of fitting.
     """
-    described = {name: describe(manifest, name, method) for name in names}
-    key = key_of("sequential", list(described.values()), [suppressor, fraction, iterations, seed])
+    key = key_of("sequential", list(described.values()), [suppressor, *astuple(how)])
+
+    def fitted(X: np.ndarray, condition: np.ndarray) -> LowRankMap:
+        estimator = fit(X, condition, [suppressor], iterations=how.iterations, seed=how.seed)[suppressor]
+        return LowRankMap(*estimator.low_rank())
 
     def compute() -> dict[str, Any]:
-        composed, arrays = None, {}
+        maps: dict[str, LowRankMap] = {}
         for number, one in enumerate(described.values()):
-            X, condition = fitting_data(one, split_of(one.dataset, fraction))
-            single = _fitted(suppressor, X, condition, iterations, seed)
-            arrays |= _parts(f"single {number}", single)
-            if composed is None:
-                composed = single
+            X, condition = fitting_data(one, split_of(one.dataset, how.fraction))
+            maps[f"single {number}"] = fitted(X, condition)
+            if number:
+                further = fitted(maps["composed"].transform(X), condition)
+                maps["composed"] = compose(maps["composed"], further)
             else:
-                composed = compose(composed, _fitted(suppressor, composed.transform(X), condition, iterations, seed))
-        return arrays | _parts("composed", composed)
+                maps["composed"] = maps["single 0"]
+        return {
+            f"{name} {part}": array
+            for name, one in maps.items()
+            for part, array in zip(_PARTS, one.low_rank(), strict=True)
+        }
 
-    arrays = stored(manifest, key, compute, {"datasets": list(names), "method": method, "stage": "sequential"})
+    arrays = stored(manifest, key, compute, {"datasets": list(described), "method": method, "stage": "sequential"})
 
-    def read(prefix: str) -> LowRankMap:
-        return LowRankMap(*(arrays[f"{prefix} {part}"] for part in ("left", "right", "offset")))
+    def read(name: str) -> LowRankMap:
+        return LowRankMap(*(arrays[f"{name} {part}"] for part in _PARTS))
 
-    return Erasure(read("composed"), {name: read(f"single {n}") for n, name in enumerate(names)}), described
-
-
-def _fitted(suppressor: str, X: np.ndarray, condition: np.ndarray, iterations: int, seed: int) -> LowRankMap:
-    estimator = INLP(iterations, seed=seed) if suppressor == "INLP" else LEACE()
-    return LowRankMap(*estimator.fit(X, condition).low_rank())
-
-
-def _parts(prefix: str, transform: LowRankMap) -> dict[str, np.ndarray]:
-    return {
-        f"{prefix} {name}": part for name, part in zip(("left", "right", "offset"), transform.low_rank(), strict=True)
-    }
+    return Erasure(read("composed"), {name: read(f"single {n}") for n, name in enumerate(described)})
 
 
 def key_of(stage: str, described: Sequence[Described], settings: Sequence[Any], **versions: Any) -> str:
     """Return the content key of what one stage makes of descriptors with fitted transforms.
 
-    It holds the revisions of ranking, fits, regions, probe and studies, and the version of scikit-learn, whose
-    classifiers decide INLP and the probe; ``versions`` are those of further libraries.
+    It holds the version of scikit-learn, whose classifiers decide INLP and the probe; ``versions`` are those of further
+    libraries.
     """
-    revisions = [one_pass.REVISION, suppression.REVISION, REVISION]
     return store.key(
         stage=stage,
-        revisions=revisions,
+        revisions=[one_pass.REVISION, suppression.REVISION, REVISION],
         versions={"scikit-learn": version("scikit-learn"), **versions},
         inputs=[one.key_inputs() for one in described],
         settings=list(settings),

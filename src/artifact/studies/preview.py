@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,45 +14,61 @@ import pandas as pd
 
 from artifact import datasets as data
 from artifact import store
-from artifact.datasets import Traversal
+from artifact.datasets import Dataset, Traversal
 from artifact.datasets.appearance import measure
 from artifact.datasets.folder import contents
-from artifact.datasets.images import modes_and_sizes
+from artifact.datasets.images import modes_and_sizes, read_image
 from artifact.datasets.positives import positives_of
 from artifact.manifest import Manifest
+from artifact.manifest.entries import DatasetEntry
 
 _JUMP_M = 50_000  # metres between neighbours that no traversal makes
 _SYSTEM = ("Thumbs.db", "desktop.ini")
 _SAMPLE = 25  # images of a traversal that are opened
+_NEAREST = 3  # database images that a query is compared with
+_SAME_PICTURE = 1.5  # mean difference of 16 × 16 grey values of 255: a copy saved again, and no second photograph
 
 
-def traversals_table(manifest: Manifest, name: str) -> pd.DataFrame:
-    """Describe every traversal of a dataset.
+@dataclass(frozen=True)
+class Preview:
+    """What is known of a dataset, with all of its traversals loaded, before any result."""
 
-    Returns
-    -------
-    pandas.DataFrame
-        One row per traversal: ``traversal``, ``condition``, ``use`` (query, database or further), ``images``, ``spacing``
-        (median distance between neighbours, in metres or frames), and of at most 25 evenly spaced images ``size`` (the most
-        common, width × height), ``other_sizes`` (how many differ), ``modes`` and ``brightness`` (mean, 0 to 1); these are
-        missing where only descriptors are at hand.
-    """
+    dataset: Dataset
+    traversals: pd.DataFrame
+    facts: dict[str, Any]
+    remarks: list[str]
+
+    def lines(self) -> Iterator[str]:
+        """Yield it all for a terminal: the table, the facts, and each remark as a warning."""
+        yield self.traversals.to_string(index=False, na_rep="–", float_format=lambda value: f"{value:.2f}")
+        yield in_words(self.facts)
+        yield from (f"warning: {remark}" for remark in self.remarks)
+
+
+def look_at(manifest: Manifest, name: str) -> Preview:
+    """Load a dataset once and describe it."""
     entry = manifest.dataset(name)
     dataset = data.load(manifest, name, entry.traversals)
-    uses = {entry.database: "database", entry.query: "query"}
+    facts = pair_facts(dataset, str(entry.threshold))
+    remarks = [*remarks_on(manifest, dataset), *_remarks_on_copies(dataset)]
+    return Preview(dataset, traversals_table(dataset), facts, remarks)
+
+
+def traversals_table(dataset: Dataset) -> pd.DataFrame:
+    """Describe every loaded traversal of a dataset.
+
+    Columns: ``traversal``, ``condition``, ``use`` (query, database or further), ``images``, ``spacing`` (median
+    distance between neighbours, in metres or frames), and of at most 25 evenly spaced images ``size`` (the most common,
+    width × height), ``other_sizes`` (how many differ), ``modes`` and ``brightness`` (mean, 0 to 1); these are missing
+    where only descriptors are at hand.
+    """
+    uses = {dataset.database_name: "database", dataset.query_name: "query"}
     rows = []
-    for traversal in dataset.traversals.values():
+    for name, traversal in dataset.traversals.items():
         steps = np.linalg.norm(np.diff(traversal.positions, axis=0), axis=1)
-        rows.append(
-            {
-                "traversal": traversal.name,
-                "condition": traversal.condition,
-                "use": uses.get(traversal.name, "further"),
-                "images": len(traversal),
-                "spacing": float(np.median(steps)) if len(steps) else np.nan,
-                **_of_images(traversal),
-            }
-        )
+        row = {"traversal": name, "condition": traversal.condition, "use": uses.get(name, "further")}
+        row |= {"images": len(traversal), "spacing": float(np.median(steps)) if len(steps) else np.nan}
+        rows.append(row | _of_images(traversal))
     return pd.DataFrame(rows)
 
 
@@ -57,7 +76,7 @@ def _of_images(traversal: Traversal) -> dict[str, Any]:
     if not traversal.has_images:
         return {"size": None, "other_sizes": None, "modes": None, "brightness": np.nan}
     paths = traversal.image_paths()
-    sample = [paths[i] for i in np.unique(np.linspace(0, len(paths) - 1, min(_SAMPLE, len(paths))).astype(int))]
+    sample = [paths[i] for i in _sampled(len(paths))]
     modes, sizes = modes_and_sizes(sample)
     (width, height), most = Counter(sizes).most_common(1)[0]
     return {
@@ -68,29 +87,19 @@ def _of_images(traversal: Traversal) -> dict[str, Any]:
     }
 
 
-def pair_facts(manifest: Manifest, name: str) -> dict[str, Any]:
-    """Say what the query–database pair of a dataset offers to evaluate.
-
-    Returns
-    -------
-    dict
-        ``threshold``, ``queries``, ``database``, ``evaluated`` (queries with a positive), ``excluded``, and of the evaluated
-        ones ``fewest``, ``median`` and ``most`` positives; ``nearest``: the least distance from a query to the database.
-    """
-    dataset = data.load(manifest, name)
-    query, database = dataset.query.positions, dataset.database.positions
-    return {"threshold": str(manifest.dataset(name).threshold), **counts(query, database, dataset.threshold)}
+def pair_facts(dataset: Dataset, threshold: str) -> dict[str, Any]:
+    """Return the :func:`counts` of the query–database pair of a dataset, with its ``threshold`` in words."""
+    return {"threshold": threshold, **counts(dataset.query.positions, dataset.database.positions, dataset.threshold)}
 
 
-def remarks(manifest: Manifest, name: str) -> list[str]:
+def remarks_on(manifest: Manifest, dataset: Dataset) -> list[str]:
     """Say what of a dataset may make its numbers mean something else, one sentence each.
 
-    Among them: query images that are database images too, images or positions that are all the same, frames that are paired
-    by their order though their names differ, files that are no readable images, coordinates that jump.
+    Among them: query images that are database images too, images or positions that are all the same, frames that are
+    paired by their order though their names differ, files that are no readable images, coordinates that jump.
     """
-    entry, dataset = manifest.dataset(name), data.load(manifest, name)
-    pair = (dataset.query, dataset.database)
-    found = [text for traversal in pair for text in _remarks_on(manifest, traversal)]
+    entry, pair = manifest.dataset(dataset.name), (dataset.query, dataset.database)
+    found = [text for traversal in pair for text in _remarks_on_files(entry, traversal)]
     if all(traversal.has_images for traversal in pair):
         digests = [store.digest_of_files(traversal.image_paths(), manifest.cache) for traversal in pair]
         both = set(digests[0]) & set(digests[1])
@@ -101,22 +110,25 @@ def remarks(manifest: Manifest, name: str) -> list[str]:
                 found.append(f"all images of {traversal.name} are the same")
     if dataset.unit == "frames" and not entry.by_name and all(t.has_images for t in pair):
         found += _remarks_on_order(*pair)
+    facts = counts(dataset.query.positions, dataset.database.positions, dataset.threshold)
+    if facts["median"] == len(dataset.database) > 1:
+        found.append(
+            "every database image is a positive of most queries: is the threshold in the unit of the positions?"
+        )
     for traversal in pair:
         if len(traversal) > 1 and (traversal.positions == traversal.positions[0]).all():
             found.append(f"all positions of {traversal.name} are the same: every image is a positive of every query")
     return found
 
 
-def _remarks_on(manifest: Manifest, traversal: Traversal) -> list[str]:
+def _remarks_on_files(entry: DatasetEntry, traversal: Traversal) -> list[str]:
+    """Files that are no images, and positions that jump."""
     found = []
-    if traversal.folder is not None and manifest.dataset(traversal.dataset).kind == "folder":
+    if traversal.folder is not None and entry.kind == "folder":
         others = [file for file in contents(traversal.folder)[1] if Path(file).name not in _SYSTEM]
         if others:
-            heic = (
-                "; HEIC must be converted first"
-                if any(file.lower().endswith((".heic", ".heif")) for file in others)
-                else ""
-            )
+            unread = any(file.lower().endswith((".heic", ".heif")) for file in others)
+            heic = "; HEIC must be converted first" if unread else ""
             what = "file is no image" if len(others) == 1 else "files are no images"
             found.append(f"{traversal.name}: {len(others)} {what} that can be read here, first {others[0]!r}{heic}")
     if traversal.positions.shape[1] > 1 and len(traversal) > 2:
@@ -129,6 +141,33 @@ def _remarks_on(manifest: Manifest, traversal: Traversal) -> list[str]:
     return found
 
 
+def _remarks_on_copies(dataset: Dataset) -> list[str]:
+    """Query images of a sample that are the same picture as one of their nearest database images, saved once more."""
+    if not (dataset.query.has_images and dataset.database.has_images):
+        return []
+    queries, database = dataset.query.image_paths(), dataset.database.image_paths()
+    sample, copies = _sampled(len(queries)), 0
+    for i in sample:
+        distances = np.linalg.norm(dataset.database.positions - dataset.query.positions[i], axis=1)
+        near = np.argsort(distances, kind="stable")[:_NEAREST]
+        ours = _small(queries[i])
+        copies += any(np.abs(ours - _small(database[j])).mean() < _SAME_PICTURE for j in near)
+    if not copies:
+        return []
+    return [
+        f"{copies} of {len(sample)} query images look like copies of a database image: their places are found by themselves"
+    ]
+
+
+def _small(path: Path) -> np.ndarray:
+    return np.asarray(read_image(path, "grey").resize((16, 16)), np.float64)
+
+
+def _sampled(n: int) -> np.ndarray:
+    """At most 25 evenly spaced of ``n`` images."""
+    return np.unique(np.linspace(0, n - 1, min(_SAMPLE, n)).astype(int))
+
+
 def _remarks_on_order(query: Traversal, database: Traversal) -> list[str]:
     """Differences of names between frames that their order pairs."""
     names = [[data.stem(image) for image in traversal.image_names] for traversal in (query, database)]
@@ -138,17 +177,25 @@ def _remarks_on_order(query: Traversal, database: Traversal) -> list[str]:
             f"frames are paired by their order, but {query.name} has {len(names[0])} images and {database.name} {len(names[1])}"
         )
     shared = set(names[0]) & set(names[1])
-    differ = [pair for pair in zip(*names, strict=False) if pair[0] != pair[1]]
-    if differ and len(shared) > len(names[0]) / 2:
+    differ = [pair for pair in zip(*names, strict=False) if _number(pair[0]) != _number(pair[1])]
+    if differ:
         first = ", ".join(f"{a} with {b}" for a, b in differ[:5])
-        found.append(
-            f"frames are paired by their order though names differ: {first}; 'by_name: true' pairs equal names"
-        )
+        way_out = "'by_name: true' pairs equal names" if shared else "rename the images if these are other places"
+        found.append(f"frames are paired by their order though names differ: {first}; {way_out}")
     return found
 
 
+def _number(stem: str) -> str:
+    """The last number of a name, or all of a name without any: what tells frames of one traversal apart."""
+    return (re.findall(r"\d+", stem) or [stem])[-1].lstrip("0")
+
+
 def counts(query_positions: np.ndarray, database_positions: np.ndarray, threshold: float) -> dict[str, Any]:
-    """Count queries, evaluated queries and positives; see :func:`pair_facts`."""
+    """Say what a pair offers to evaluate, given its positions ``(n, p)`` and the threshold in their unit.
+
+    ``queries``, ``database``, ``evaluated`` (queries with a positive), ``excluded``, and of the evaluated ones
+    ``fewest``, ``median`` and ``most`` positives; ``nearest``: the least distance from a query to the database.
+    """
     number = np.diff(positives_of(query_positions, database_positions, threshold)[0])
     found = number[number > 0]
     fewest, median, most = np.percentile(found, [0, 50, 100]) if len(found) else (0, 0, 0)
@@ -165,7 +212,7 @@ def counts(query_positions: np.ndarray, database_positions: np.ndarray, threshol
 
 
 def in_words(facts: dict[str, Any]) -> str:
-    """Return the facts of a pair as one sentence.
+    """Return :func:`pair_facts` as one sentence.
 
     Examples
     --------

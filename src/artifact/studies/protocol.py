@@ -6,6 +6,7 @@ import csv
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -35,31 +36,27 @@ def sensitivity(
 ) -> Study:
     """Measure what the open choices change, without a second pass.
 
-    Returns
-    -------
-    Study
-        One row per dataset and method: ``R`` and ``DAR`` in percent under the defaults, and their change in
-        percentage points: ``ties_R``, ``ties_DAR`` (ties against the query), ``excluded_R``, ``excluded_DAR``
-        (excluded queries in the denominator), ``beyond_DAR`` (only distractors beyond twice the threshold; NaN
-        where the threshold is 0).
+    One row per dataset and method: ``R`` and ``DAR`` in percent under the defaults, and their change in percentage
+    points: ``ties_R``, ``ties_DAR`` (ties against the query), ``excluded_R``, ``excluded_DAR`` (excluded queries in the
+    denominator), ``beyond_DAR`` (only distractors beyond twice the threshold; NaN where the threshold is 0).
     """
     rows, inputs = [], []
-    for name in names:
-        for method in methods:
-            measured = evaluated.evaluation(manifest, name, method, seed=seed)
-            result = measured.evaluation
-            recall, dar = result.recall(k), result.dar(k)
-            kept = result.n_queries / (result.n_queries + result.excluded_queries)
-            beyond = result.dar_by_distance([2 * result.threshold], k)[0] - dar if result.threshold else np.nan
-            changes = {
-                "ties_R": result.recall(k, ties="against") - recall,
-                "ties_DAR": result.dar(k, ties="against") - dar,
-                "excluded_R": recall * (kept - 1),
-                "excluded_DAR": dar * (kept - 1),
-                "beyond_DAR": beyond,
-            }
-            row = {"dataset": name, "title": manifest.dataset(name).title, "method": method}
-            row |= {"R": PERCENT * recall, "DAR": PERCENT * dar}
-            rows.append(row | {column: PERCENT * change for column, change in changes.items()})
-            inputs += measured.inputs
+    for name, method in product(names, methods):
+        measured = evaluated.evaluation(manifest, name, method, seed=seed)
+        result = measured.evaluation
+        recall, dar = result.recall(k), result.dar(k)
+        kept = result.n_queries / (result.n_queries + result.excluded_queries)
+        beyond = result.dar_by_distance([2 * result.threshold], k)[0] - dar if result.threshold else np.nan
+        shares = {
+            "R": recall,
+            "DAR": dar,
+            "ties_R": result.recall(k, ties="against") - recall,
+            "ties_DAR": result.dar(k, ties="against") - dar,
+            "excluded_R": recall * (kept - 1),
+            "excluded_DAR": dar * (kept - 1),
+            "beyond_DAR": beyond,
+        }
+        row = {"dataset": name, "title": manifest.dataset(name).title, "method": method}
+        rows.append(row | {column: PERCENT * share for column, share in shares.items()})
+        inputs += measured.inputs
     return Study(pd.DataFrame(rows), tuple(inputs))

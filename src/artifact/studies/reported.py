@@ -44,17 +44,7 @@ EVALUATED_QUERIES = {
 
 
 def table(name: str) -> pd.DataFrame:
-    """Return one table or curve of the paper as a tidy frame.
-
-    Parameters
-    ----------
-    name
-        A key of :data:`TABLES`, for example ``"tab03"`` or ``"fig06_number"``.
-
-    Raises
-    ------
-    KeyError
-        If the paper reports nothing under that name.
+    """Return one table or curve of the paper, a key of :data:`TABLES`, as a tidy frame; another name is a ``KeyError``.
 
     Examples
     --------
@@ -69,12 +59,12 @@ def table(name: str) -> pd.DataFrame:
 
 def method_titles() -> dict[str, str]:
     """Return the printed title of each of the paper's methods, in the order of its tables."""
-    return dict(zip(*(table("tab02")[column] for column in ("method", "title")), strict=True))
+    return table("tab02").set_index("method")["title"].to_dict()
 
 
 def dataset_titles() -> dict[str, str]:
     """Return the printed title of each of the paper's datasets, in the order of its tables."""
-    return dict(zip(*(table("tab01")[column] for column in ("dataset", "title")), strict=True))
+    return table("tab01").set_index("dataset")["title"].to_dict()
 
 
 def recall_table() -> pd.DataFrame:
@@ -96,10 +86,7 @@ def require(manifest: Manifest, profile: str) -> None:
     ManifestError
         If a dataset names one that the paper does not have, or the paper has no number for a method of the profile.
     """
-    entry, known = (
-        manifest.profile(profile),
-        set(table("fig05")[["dataset", "method"]].itertuples(index=False, name=None)),
-    )
+    entry, known = manifest.profile(profile), set(table("fig05").set_index(["dataset", "method"]).index)
     for name in entry.datasets:
         standing_for = manifest.dataset(name).reported_as
         if standing_for is None:

@@ -1,101 +1,77 @@
-"""Fig. 8, Fig. 10 and Tables IV and V: what condition suppression changes, how much data it needs, whether it composes."""
+"""Figs. 8 and 10: what condition suppression changes, and how much data it needs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import product
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from artifact.extraction.described import Described
 from artifact.manifest import Manifest
 from artifact.metrics.evaluation import Evaluation
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies import fitted
-from artifact.studies.common import PERCENT, Study, origin, single_stage
-from artifact.studies.evaluated import Measured
-from artifact.studies.fitted import METHODS
+from artifact.studies.common import PERCENT, Study, cell_of, origin, replicated_hits, single_stage
+from artifact.studies.fitted import METHODS, Fitting
 
 
 def suppression_table(
-    manifest: Manifest,
-    names: Iterable[str],
-    methods: Iterable[str],
-    *,
-    fraction: float = 0.1,
-    iterations: int = 35,
-    k: int = 1,
-    seed: int = 0,
+    manifest: Manifest, names: Iterable[str], methods: Iterable[str], *, k: int = 1, **fitting: Any
 ) -> Study:
     """Fig. 8: change of the probe's accuracy, of DAR@K and of R@K under INLP, LEACE and STD.
 
-    Returns
-    -------
-    Study
-        One row per dataset, method and suppression method: ``dataset``, ``title``, ``method``, ``suppression``
-        (``original`` among them), ``reported_as``, ``R``, ``DAR``, ``probe`` in percent, their changes ``change_R``, ``change_DAR``,
-        ``change_probe`` in percentage points, ``probe_unconverged`` (1 if the probe did not converge), ``queries``, ``fitted_queries``, ``fitted_database``, ``origin``.
+    ``fitting`` is that of :class:`artifact.studies.fitted.Fitting`. Columns: ``dataset``, ``reported_as``, ``title``,
+    ``method``, ``suppression`` (``original`` among them), ``R``, ``DAR``, ``probe`` in percent, ``probe_unconverged``
+    (1 if the probe did not converge), the changes ``change_R``, ``change_DAR``, ``change_probe`` in percentage points,
+    ``queries``, ``fitted_queries``, ``fitted_database``, ``of_nordland`` (whether the dataset is Nordland or mirrors it),
+    ``origin``.
     """
-    rows, inputs = [], []
-    for name in names:
-        title, reported_as = manifest.dataset(name).title, manifest.dataset(name).reported_as
-        for method in single_stage(manifest, methods):
-            result = fitted.compare(manifest, name, method, fraction=fraction, iterations=iterations, seed=seed)
-            before = result.evaluations[ORIGINAL]
-            for suppressor, after in result.evaluations.items():
-                rows.append(
-                    {
-                        "dataset": name,
-                        "reported_as": reported_as,
-                        "title": title,
-                        "method": method,
-                        "suppression": suppressor,
-                        "R": PERCENT * after.recall(k),
-                        "DAR": PERCENT * after.dar(k),
-                        "probe": PERCENT * result.probes[suppressor].accuracy,
-                        "probe_unconverged": int(not result.probes[suppressor].converged),
-                        "change_R": PERCENT * (after.recall(k) - before.recall(k)),
-                        "change_DAR": PERCENT * (after.dar(k) - before.dar(k)),
-                        "change_probe": PERCENT
-                        * (result.probes[suppressor].accuracy - result.probes[ORIGINAL].accuracy),
-                        "queries": after.n_queries,
-                        "fitted_queries": len(result.split.fit_queries),
-                        "fitted_database": len(result.split.fit_database),
-                        "origin": origin(_measured(result.described, before)),
-                    }
-                )
-            inputs += result.described.inputs
-    return Study(pd.DataFrame(rows), tuple(inputs))
+    rows, inputs, sample, seed = [], [], [], Fitting(**fitting).seed
+    for name, method in product(names, single_stage(manifest, methods)):
+        result = fitted.compare(manifest, name, method, **fitting)
+        before, probe_before = result.evaluations[ORIGINAL], result.probes[ORIGINAL]
+        reference, entry = replicated_hits(before, k, name, seed), manifest.dataset(name)
+        for suppressor, after in result.evaluations.items():
+            probe = result.probes[suppressor]
+            row = cell_of(manifest, name, method) | {"suppression": suppressor}
+            row |= {"R": PERCENT * after.recall(k), "DAR": PERCENT * after.dar(k)}
+            row |= {"probe": PERCENT * probe.accuracy, "probe_unconverged": int(not probe.converged)}
+            row |= _changes(before, after, k)
+            sample.append(replicated_hits(after, k, name, seed) - reference)
+            row["change_probe"] = PERCENT * (probe.accuracy - probe_before.accuracy)
+            row["queries"] = after.n_queries
+            row["fitted_queries"] = len(result.split.fit_queries)
+            row["fitted_database"] = len(result.split.fit_database)
+            row["of_nordland"] = "nordland" in (entry.reported_as, (entry.mirrors or "").lower())
+            rows.append(row | {"origin": origin(result.described)})
+        inputs += result.described.inputs
+    return Study(pd.DataFrame(rows), tuple(inputs), _by_change(sample))
+
+
+def _by_change(sample: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """Replicates of the changes of R and DAR from those of each row, ``(2, count)``."""
+    return dict(zip(("change_R", "change_DAR"), np.stack(sample, axis=1), strict=True)) if sample else {}
+
+
+def _changes(before: Evaluation, after: Evaluation, k: int) -> dict[str, float]:
+    return {
+        "change_R": PERCENT * (after.recall(k) - before.recall(k)),
+        "change_DAR": PERCENT * (after.dar(k) - before.dar(k)),
+    }
 
 
 def improved(table: pd.DataFrame) -> pd.DataFrame:
-    """Count the method–dataset pairs that each suppression method improves, as the paper's text does.
+    """Count the method–dataset pairs of a :func:`suppression_table` that each suppression method improves.
 
-    Parameters
-    ----------
-    table
-        As from :func:`suppression_table`.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row per suppression method: ``suppression``, ``pairs`` and the numbers of pairs whose probe accuracy falls
-        (``probe``) and whose DAR and R rise (``DAR``, ``R``); ``DAR_falls``, ``R_falls`` the other way.
+    Columns: ``suppression``, ``pairs`` and the numbers of pairs whose probe accuracy falls (``probe``) and whose DAR
+    and R rise (``DAR``, ``R``).
     """
     changed = table[table["suppression"] != ORIGINAL]
-    rows = []
-    for suppressor, part in changed.groupby("suppression", sort=False):
-        rows.append(
-            {
-                "suppression": suppressor,
-                "pairs": len(part),
-                "probe": int((part["change_probe"] < -1e-9).sum()),
-                "DAR": int((part["change_DAR"] > 1e-9).sum()),
-                "R": int((part["change_R"] > 1e-9).sum()),
-                "DAR_falls": int((part["change_DAR"] < -1e-9).sum()),
-                "R_falls": int((part["change_R"] < -1e-9).sum()),
-            }
-        )
-    return pd.DataFrame(rows)
+    better = pd.DataFrame({"pairs": True, "probe": changed["change_probe"] < -1e-9})
+    better[["DAR", "R"]] = changed[["change_DAR", "change_R"]] > 1e-9
+    return better.groupby(changed["suppression"], sort=False).sum().reset_index()
 
 
 def fitting_fraction(
@@ -104,45 +80,29 @@ def fitting_fraction(
     methods: Iterable[str],
     fractions: Sequence[float],
     *,
-    iterations: int = 35,
     k: int = 1,
-    seed: int = 0,
+    **fitting: Any,
 ) -> Study:
     """Fig. 10: change of DAR@K and R@K against the query fitting fraction, on the fixed outer half.
 
-    Returns
-    -------
-    Study
-        One row per dataset, method, suppression method and fraction: ``dataset``, ``title``, ``method``,
-        ``suppression``, ``fraction``, ``change_R``, ``change_DAR`` in percentage points. Fraction 0 is without
-        suppression. Fractions with fewer than two images of a condition are left out.
+    ``fitting`` is ``iterations`` and ``seed`` of :func:`artifact.studies.fitted.by_fraction`. Columns: ``dataset``,
+    ``reported_as``, ``title``, ``method``, ``suppression``, ``fraction``, ``change_R``, ``change_DAR`` in percentage
+    points. Fraction 0 is without suppression. Fractions with fewer than two images of a condition are left out.
     """
     positive = sorted(fraction for fraction in fractions if fraction > 0)
-    rows, inputs = [], []
-    for name in names:
-        title, reported_as = manifest.dataset(name).title, manifest.dataset(name).reported_as
-        for method in single_stage(manifest, methods):
-            found, described = fitted.by_fraction(manifest, name, method, positive, iterations=iterations, seed=seed)
-            before = found[ORIGINAL, 0.0]
-            for suppressor in METHODS:
-                for fraction in (0.0, *positive):
-                    after = before if fraction == 0 else found.get((suppressor, fraction))
-                    if after is None:
-                        continue
-                    rows.append(
-                        {
-                            "dataset": name,
-                            "reported_as": reported_as,
-                            "title": title,
-                            "method": method,
-                            "suppression": suppressor,
-                            "fraction": fraction,
-                            "change_R": PERCENT * (after.recall(k) - before.recall(k)),
-                            "change_DAR": PERCENT * (after.dar(k) - before.dar(k)),
-                        }
-                    )
-            inputs += described.inputs
-    return Study(pd.DataFrame(rows), tuple(inputs))
+    rows, inputs, sample, seed = [], [], [], fitting.get("seed", 0)
+    for name, method in product(names, single_stage(manifest, methods)):
+        found, described = fitted.by_fraction(manifest, name, method, positive, **fitting)
+        before = found[ORIGINAL, 0.0]
+        reference = replicated_hits(before, k, name, seed)
+        for suppressor in METHODS:
+            steps = [(f, found[suppressor, f]) for f in positive if (suppressor, f) in found]
+            for fraction, after in [(0.0, before), *steps]:
+                row = cell_of(manifest, name, method) | {"suppression": suppressor, "fraction": fraction}
+                rows.append(row | _changes(before, after, k))
+                sample.append(replicated_hits(after, k, name, seed) - reference)
+        inputs += described.inputs
+    return Study(pd.DataFrame(rows), tuple(inputs), _by_change(sample))
 
 
 def mean_by_fraction(table: pd.DataFrame) -> pd.DataFrame:
@@ -150,12 +110,12 @@ def mean_by_fraction(table: pd.DataFrame) -> pd.DataFrame:
 
     A pair that is too small for the smallest fraction would otherwise bend the curve where it enters.
     """
-    wanted = table["fraction"].nunique()
-    pairs = table.groupby(["dataset", "method", "suppression"])["fraction"].transform("nunique")
-    whole = table[pairs == wanted]
+    whole = table[has_every_fraction(table)]
     means = whole.groupby(["suppression", "fraction"], sort=False)[["change_DAR", "change_R"]]
     return means.mean().assign(pairs=means.size()).reset_index()
 
 
-def _measured(described: Described, evaluation: Evaluation) -> Measured:
-    return Measured(evaluation, described.dataset, described.method, described.inputs)
+def has_every_fraction(table: pd.DataFrame) -> pd.Series:
+    """Tell which rows of a :func:`fitting_fraction` are of pairs that have every fraction."""
+    counts = table.groupby(["dataset", "method", "suppression"])["fraction"].transform("nunique")
+    return counts == table["fraction"].nunique()

@@ -11,33 +11,30 @@ space but not what they say about the image.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from artifact import store, suppression
 from artifact.datasets.appearance import STATISTICS, appearance
 from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
 from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
-from artifact.metrics.statistics import block_length, resamples
+from artifact.metrics.statistics import ends, replicates
 from artifact.metrics.stored import stored
-from artifact.ranking import one_pass
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies import fitted
-from artifact.studies.common import PERCENT, Study, origin, single_stage
-from artifact.studies.evaluated import Measured
-from artifact.suppression.inlp import INLP
-from artifact.suppression.leace import LEACE
+from artifact.studies.common import PERCENT, NothingToShowError, Study, origin, single_stage
+from artifact.studies.fitted import Fitting
 from artifact.suppression.regions import Split
 
 VIEWS = (ORIGINAL, "LEACE", "INLP")
 
 CONTROLS = 8
 """Offsets, evenly spaced along the traversal, by which the labels are turned for the control."""
+
+_FITTED = 4  # queries at least to fit on: two of either side
 
 
 def within_session(
@@ -52,49 +49,41 @@ def within_session(
 ) -> Study:
     """Measure how many queries distractors with the query's own side of a statistic take, before and after suppression.
 
-    Parameters
-    ----------
-    names, methods
-        Datasets and methods.
-    statistics
-        Some of :data:`artifact.datasets.appearance.STATISTICS`.
-    fraction
-        Share of the queries that LEACE and INLP are fitted on; the rest is evaluated.
-    iterations
-        INLP iterations.
-    seed
-        Seed of INLP and of the intervals.
+    One row per dataset, method, statistic and ``view``: ``R`` without distractors, ``own`` and ``other`` (R@1 with
+    distractors of the query's own and of the other side) in percent; ``gap`` = other − own with its interval
+    ``gap_low``, ``gap_high``; ``control``, the mean gap of the turned labels, and ``control_high``, the largest of
+    them, in percentage points.
 
-    Returns
-    -------
-    Study
-        One row per dataset, method, statistic and view (``original``, ``LEACE``, ``INLP``): ``R`` without distractors, ``own`` and
-        ``other`` (R@1 with distractors of the query's own and of the other side) in percent; ``gap`` = other − own
-        with its interval ``gap_low``, ``gap_high``; ``control``, the mean gap of the turned labels, and
-        ``control_high``, the largest of them, in percentage points.
+    ``statistics`` are some of :data:`artifact.datasets.appearance.STATISTICS`, ``fraction`` is the share of the queries
+    that LEACE and INLP are fitted on (the rest is evaluated), ``iterations`` are INLP's, the seed is INLP's and the
+    intervals'. Datasets with fewer than four queries to fit on, two of either side, are left out.
+
+    Raises
+    ------
+    NothingToShowError
+        If no dataset is left.
     """
-    rows, inputs = [], []
+    how, rows, inputs = Fitting(fraction, iterations, seed), [], []
     for name in names:
         for method in single_stage(manifest, methods):
             described = describe(manifest, name, method)
             region = fitted.split_of(described.dataset, fraction)
+            if len(region.fit_queries) < _FITTED:
+                continue
             measures = appearance(described.dataset.query, manifest.cache)
             for statistic in statistics:
                 values = measures[:, STATISTICS.index(statistic)]
-                found = _evaluations(manifest, described, region, values, statistic, iterations, seed)
-                rows += [
-                    {
-                        "dataset": name,
-                        "title": manifest.dataset(name).title,
-                        "method": method,
-                        "statistic": statistic,
-                        "view": view,
-                        **_row(found[view], values[region.evaluation_queries], seed),
-                        "origin": origin(Measured(found[ORIGINAL], described.dataset, method, described.inputs)),
-                    }
-                    for view in VIEWS
-                ]
+                found = _evaluations(manifest, described, region, values, statistic, how)
+                for view in VIEWS:
+                    row = {"dataset": name, "title": manifest.dataset(name).title, "method": method}
+                    row |= {"statistic": statistic, "view": view}
+                    row |= _gaps(found[view], values[region.evaluation_queries], seed)
+                    rows.append(row | {"origin": origin(described)})
             inputs += described.inputs
+    if not rows:
+        raise NothingToShowError(
+            f"this page needs a dataset with {_FITTED} queries in {PERCENT * fraction:g} % of them"
+        )
     return Study(pd.DataFrame(rows), tuple(inputs))
 
 
@@ -118,41 +107,29 @@ def turned(labels: np.ndarray) -> list[np.ndarray]:
     return [np.roll(labels, offset) for offset in offsets]
 
 
-@dataclass(frozen=True)
-class _Sided:
-    """Evaluations with the pools of each side, real labels first."""
-
-    evaluation: Evaluation
-
-    def hits(self, turn: int, labels: np.ndarray, *, own: bool) -> np.ndarray:
-        """Whether each evaluated query keeps its place among distractors of its own, or of the other, side."""
-        by_side = np.stack([self.evaluation.pool(_pool(turn, side)).hits(1, distractors=True) for side in (0, 1)])
-        wanted = labels if own else 1 - labels
-        return by_side[wanted, np.arange(len(labels))]
-
-
 def _pool(turn: int, side: int) -> str:
     return f"turn {turn} side {side}"
 
 
-def _row(evaluation: Evaluation, values: np.ndarray, seed: int) -> dict[str, float]:
+def _gaps(evaluation: Evaluation, values: np.ndarray, seed: int) -> dict[str, float]:
     """Own and other side with the gap between them, and the gaps of the control."""
-    sided, evaluated = _Sided(evaluation), evaluation.evaluated
-    gaps = []
+    queries, gaps, shares = np.arange(evaluation.n_queries), [], []
     for turn, labels in enumerate(turned(sides(values))):
-        own, other = (sided.hits(turn, labels[evaluated], own=side) for side in (True, False))
+        hits = np.stack([evaluation.pool(_pool(turn, side)).hits(1, distractors=True) for side in (0, 1)])
+        label = labels[evaluation.evaluated]
+        own, other = hits[label, queries], hits[1 - label, queries]
         gaps.append(other.astype(float) - own)
-        if turn == 0:
-            shares = PERCENT * own.mean(), PERCENT * other.mean()
-    block = block_length(evaluation.query_positions, evaluation.threshold)
-    draws = gaps[0][resamples(len(gaps[0]), block, 1000, seed)].mean(axis=1)
-    low, high = np.quantile(draws, [0.025, 0.975])
+        shares.append((PERCENT * own.mean(), PERCENT * other.mean()))
+    low, high = (
+        end.item() for end in ends(replicates(gaps[0], evaluation.query_positions, evaluation.threshold, seed=seed))
+    )
     control = [gap.mean() for gap in gaps[1:]]
+    own, other = shares[0]
     return {
         "R": PERCENT * evaluation.recall(1),
-        "own": shares[0],
-        "other": shares[1],
-        "gap": shares[1] - shares[0],
+        "own": own,
+        "other": other,
+        "gap": other - own,
         "gap_low": PERCENT * low,
         "gap_high": PERCENT * high,
         "control": PERCENT * np.mean(control),
@@ -162,46 +139,23 @@ def _row(evaluation: Evaluation, values: np.ndarray, seed: int) -> dict[str, flo
 
 
 def _evaluations(
-    manifest: Manifest,
-    described: Described,
-    region: Split,
-    values: np.ndarray,
-    statistic: str,
-    iterations: int,
-    seed: int,
+    manifest: Manifest, described: Described, region: Split, values: np.ndarray, statistic: str, how: Fitting
 ) -> dict[str, Evaluation]:
     """Evaluate the original and the suppressed descriptors against the pools of both sides of all turns."""
-    key = store.key(
-        stage="within",
-        revisions=[one_pass.REVISION, suppression.REVISION],
-        inputs=described.key_inputs(),
-        settings=[statistic, values, region.fit_queries, CONTROLS, iterations, seed],
-    )
+    settings = [statistic, values, region.fit_queries, CONTROLS, how.iterations, how.seed]
+    key = fitted.key_of("within", [described], settings)
 
     def compute() -> dict[str, Any]:
         # The fitting region has its own median: all of it may lie on one side of the traversal's.
         fitting = described.query.values[region.fit_queries], sides(values[region.fit_queries])
-        views = {"LEACE": LEACE().fit(*fitting), "INLP": INLP(iterations, seed=seed).fit(*fitting)}
-        rows, columns = region.evaluation_queries, region.evaluation_database
-        queries, places = described.query.values[rows], described.dataset.query.positions[rows]
+        views = fitted.fit(*fitting, ("LEACE", "INLP"), iterations=how.iterations, seed=how.seed)
+        queries, database, places, *other = fitted.evaluation_region(described, region)
         pools, where = {}, {}
-        for turn, labels in enumerate(turned(sides(values[rows]))):
+        for turn, labels in enumerate(turned(sides(values[region.evaluation_queries]))):
             for side in (0, 1):
                 chosen = labels == side
                 pools[_pool(turn, side)], where[_pool(turn, side)] = queries[chosen], places[chosen]
-        result = evaluate(
-            queries,
-            described.database.values[columns],
-            places,
-            described.dataset.database.positions[columns],
-            described.dataset.threshold,
-            pools,
-            where,
-            views=views,
-            draws=1,
-            depth=1,
-        )
-        return {"views": result}
+        return {"views": evaluate(queries, database, places, *other, pools, where, views=views, draws=1, depth=1)}
 
     record = {"dataset": described.dataset.name, "method": described.method, "stage": f"within: {statistic}"}
     result = stored(manifest, key, compute, record)["views"]

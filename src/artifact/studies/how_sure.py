@@ -1,0 +1,47 @@
+"""How sure the order of the methods is: the chance of each rank, and who can be told from whom."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pandas as pd
+from scipy.stats import rankdata
+
+from artifact.metrics.statistics import ends, holm, p_values
+from artifact.studies.common import PERCENT, Study
+from artifact.studies.judging import CERTAIN
+from artifact.studies.recall import mean_replicates, with_means
+
+
+def rank_chances(study: Study, metric: str) -> pd.DataFrame:
+    """Return the share in percent of bootstrap replicates in which each method has each rank by a mean over datasets.
+
+    ``study`` is a :func:`artifact.studies.recall.recall_table`, ``metric`` ``"R"`` or ``"DAR"``. Columns: ``method``, ``mean``
+    with its 95 % interval ``low`` and ``high``, then ``1`` (best), ``2``, ... Methods that tie share the better rank.
+    """
+    means, sample = with_means(study.table), mean_replicates(study)[metric]
+    ranks = rankdata(-sample.round(9), method="min", axis=0)
+    low, high = ends(sample.clip(0, PERCENT))
+    table = pd.DataFrame({"method": means["method"], "mean": means[metric], "low": low, "high": high})
+    chances = {rank: PERCENT * (ranks == rank).mean(axis=1) for rank in range(1, len(means) + 1)}
+    return table.assign(**{str(rank): chance for rank, chance in chances.items()})
+
+
+def separable(study: Study, metric: str) -> pd.DataFrame:
+    """Return the difference of each pair of methods in a mean over datasets, and whether it is beyond chance.
+
+    Columns: ``better`` and ``worse`` (methods), ``difference`` in pp with its 95 % interval ``low`` and ``high``, ``p`` (adjusted
+    for all pairs, Holm), ``certain``.
+    """
+    means, sample = with_means(study.table), mean_replicates(study)[metric]
+    rows, values = [], means[metric].to_numpy()
+    pairs = [(i, j) if values[i] >= values[j] else (j, i) for i, j in itertools.combinations(range(len(values)), 2)]
+    for i, j in pairs:
+        low, high = ends(sample[i] - sample[j])
+        names = {"better": means["method"][i], "worse": means["method"][j]}
+        rows.append(names | {"difference": values[i] - values[j], "low": float(low), "high": float(high)})
+    table = pd.DataFrame(rows, columns=["better", "worse", "difference", "low", "high"])
+    drawn = [sample[i] - sample[j] for i, j in pairs]
+    table["p"] = holm(p_values(table["difference"].to_numpy(), np.stack(drawn))) if drawn else []
+    return table.assign(certain=table["p"] < CERTAIN)
