@@ -9,6 +9,8 @@ from artifact.pages import (  # noqa: F401
     embedding,
     erased,
     galleries,
+    how_fast,
+    how_sure,
     mixed_database,
     opening,
     preview,
@@ -18,6 +20,7 @@ from artifact.pages import (  # noqa: F401
     scope,
     style,
     suppression,
+    taken,
     verdicts,
     within_session,
 )

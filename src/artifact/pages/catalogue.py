@@ -5,8 +5,12 @@ from __future__ import annotations
 import pandas as pd
 from IPython.display import HTML
 
+from artifact import datasets as data
+from artifact.datasets.published.preparation import in_words
 from artifact.manifest import Manifest
-from artifact.pages.common import or_dash, shown, table, whole
+from artifact.pages.common import Columns, join, markup, or_dash, paragraph, shown, table, whole
+from artifact.pages.galleries import example_strips
+from artifact.pages.preview import positions_figure
 from artifact.studies import reported
 from artifact.studies.catalogue import input_in_words
 
@@ -23,6 +27,19 @@ _DATASETS = {
     "Condition shift": "shift",
     "Images": "images",
     "Mirrors": ("mirrors", or_dash),
+}
+_BESIDE = {
+    "Dataset": "title",
+    "Query": "query",
+    "Database": "database",
+    "#Query": ("queries", "{:,}".format),
+    "#Query here": "queries_here",
+    "Evaluated": ("evaluated", "{:,}".format),
+    "Evaluated here": "evaluated_here",
+    "#Database": ("database_images", "{:,}".format),
+    "#Database here": "database_images_here",
+    "Threshold": "threshold",
+    "Condition shift": "shift",
 }
 _METHODS = {
     "Method": "title",
@@ -65,13 +82,35 @@ def catalogue_table(frame: pd.DataFrame) -> HTML:
     return table(shown(frame, _WEIGHTS), numeric=["Parameters (M)", "Dim"])
 
 
-def how_to_get(frame: pd.DataFrame) -> str:
-    """Say for every method whose weights are not here how to get them, as Markdown."""
+def full_run_table(frame: pd.DataFrame) -> HTML:
+    """Show what the whole paper takes: hours of each step, and a sum for each method."""
+
+    def hours(value: float) -> str:
+        return "–" if pd.isna(value) else f"{value:,.2f}" if value < 10 else f"{value:,.0f}"
+
+    steps = [column for column in frame if column.endswith("_h")]
+    by_method = frame.groupby("name", sort=False)
+    sums = by_method[[*steps, "images", "disk"]].sum(min_count=1).assign(memory=by_method["memory"].max())
+    sums = sums.reset_index().assign(total=lambda rows: rows[steps].sum(axis=1))
+    columns: Columns = {"Method": "name", "Images": ("images", "{:,.0f}".format)}
+    columns |= {f"{step.removesuffix('_h')} h": (step, hours) for step in steps} | {"Total h": ("total", hours)}
+    columns |= {"Memory GB": ("memory", lambda n: f"{n / 1e9:.1f}"), "Disk GB": ("disk", lambda n: f"{n / 1e9:.1f}")}
+    total = sums["total"].sum()
+    note = (
+        f"{total:,.0f} hours in all, on one machine: {frame['machine'].iloc[0]}. Predicted from short measured probes."
+    )
+    return table(shown(sums, columns), text=1, caption=note)
+
+
+def how_to_get(frame: pd.DataFrame) -> HTML:
+    """Say for every method whose weights are not here how to get them."""
     missing = frame[frame["how"] != ""]
     if missing.empty:
-        return "All weights are here."
-    listed = "\n".join(f"```text\n{detail}\n```" for detail in missing["how"])
-    return f"`make data PROFILE=paper` fetches what can be fetched, after showing licences and terms.\n\n{listed}"
+        return paragraph("All weights are here.")
+    return markup(
+        "<p><code>make data PROFILE=paper</code> fetches what can be fetched, after showing licences and terms.</p>{}",
+        join(markup("<pre>{}</pre>", detail) for detail in missing["how"]),
+    )
 
 
 def parity_table(frame: pd.DataFrame) -> HTML:
@@ -80,14 +119,42 @@ def parity_table(frame: pd.DataFrame) -> HTML:
     return table(shown(frame, _PARITY), text=3, caption=note)
 
 
-def datasets_table(frame: pd.DataFrame, caption: str = "Datasets of this run.") -> HTML:
+def datasets_table(frame: pd.DataFrame) -> HTML:
     """Show Table I for the datasets of this run."""
-    return table(shown(frame, _DATASETS), numeric=["#Query", "evaluated", "#Database", "Positives"], caption=caption)
+    numeric = ["#Query", "evaluated", "#Database", "Positives"]
+    return table(shown(frame, _DATASETS), numeric=numeric, caption="Datasets of this run.")
 
 
-def reported_datasets_table() -> HTML:
-    """Show the paper's Table I."""
-    return datasets_table(reported.table("tab01"), "Reported by the paper.")
+def beside_the_paper(frame: pd.DataFrame) -> HTML:
+    """Show the paper's Table I with the counts of this run beside its own."""
+    numeric = [heading for heading in _BESIDE if heading.startswith("#") or "valuated" in heading]
+    caption = "The paper's Table I; columns with “here” are counts of this run, ≠ where they differ from the paper's."
+    return table(shown(frame, _BESIDE), numeric=numeric, caption=caption)
+
+
+def terms_table(frame: pd.DataFrame) -> HTML:
+    """Show under what licence the images of each dataset of the paper come, what to cite, and from where."""
+    return table(shown(frame, {"Dataset": "title", "Licence": "licence", "Cite": "citation", "Source": "source"}))
+
+
+def glance(manifest: Manifest, name: str) -> HTML:
+    """Show where the images of a dataset are, examples of a query, its place and a distractor, and how it was prepared."""
+    dataset = data.load(manifest, name)
+    notes = [f"{dataset.title}, {dataset.shift}", *dataset.differences]
+    made = {name: one.preparation for name, one in dataset.traversals.items() if one.preparation}
+    lines = [
+        f"{name}: prepared {record['date']}{in_words(record['parameters'] | record['found'])}"
+        for name, record in made.items()
+    ]
+    return join(
+        [
+            markup("<h3>{}</h3>", notes[0]),
+            *(markup('<p class="origin">{}.</p>', note) for note in notes[1:]),
+            positions_figure(dataset),
+            example_strips(dataset),
+            *map(paragraph, lines),
+        ]
+    )
 
 
 def methods_table(frame: pd.DataFrame) -> HTML:
@@ -97,15 +164,7 @@ def methods_table(frame: pd.DataFrame) -> HTML:
 
 
 def reported_methods_table(manifest: Manifest, catalogue: pd.DataFrame) -> HTML:
-    """Show the paper's Table II, and what this artifact adds to it.
-
-    Parameters
-    ----------
-    manifest
-        Input size, batch and licence of each method.
-    catalogue
-        As from :func:`artifact.studies.catalogue.methods_of_the_paper`: parameters, and whether the weights are here.
-    """
+    """Show the paper's Table II, and what manifest and :func:`artifact.studies.catalogue.methods_of_the_paper` add."""
     frame = reported.table("tab02")
     entries = [manifest.methods.get(name) for name in frame["method"]]
     ours = catalogue.set_index("method").reindex(frame["method"])

@@ -6,17 +6,21 @@ Text that comes from a manifest, a folder or a run is escaped in one place, :fun
 from __future__ import annotations
 
 import base64
+import csv
 import functools
+import gzip
 import inspect
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import Any, ParamSpec
 
 import pandas as pd
 from IPython.display import HTML
 from markupsafe import Markup
 
-from artifact.studies.verdicts import printed_digits
+from artifact.studies.judging import Judged, Verdict, printed_digits
 
 CLEARLY_PP = 10.0
 """Difference in percentage points that counts as "well below" or "large"; the paper gives no number."""
@@ -24,18 +28,31 @@ CLEARLY_PP = 10.0
 SIMILAR_PP = 5.0
 """Difference in R@1 in percentage points up to which two methods count as similar."""
 
+NO_LOSS_PP = 1.1
+"""Largest fall of R@1 that the paper still calls preserved (§V-D), in percentage points."""
+
 PAGES = {
-    **{f"fig{number:02}": f"Fig. {number}" for number in (2, 5, 6, 7, 8, 9, 10)},
+    **{f"fig{number:02}": f"Fig. {number}" for number in (2, 3)},
     "tab03": "Table III",
+    **{f"fig{number:02}": f"Fig. {number}" for number in (5, 6, 7, 8, 9)},
     "tab04": "Table IV",
     "tab05": "Table V",
+    "fig10": "Fig. 10",
 }
-"""Notebooks that show a finding, with their printed titles."""
+"""Notebooks that show a finding, with their printed titles, in the order of the paper."""
+
+Titles = Mapping[str, str]
+"""Printed title of each method shown, by its name."""
+
+Answer = tuple[str, Judged]
+"""What a run measured, in words, and whether that agrees with a claim and why."""
 
 _SHORT = 24  # characters that a table cell keeps on one line
 _TALL = 30  # rows from which on a table scrolls in a box of its own
-_VERDICTS = {True: "agrees", False: "does not agree", None: "cannot tell"}
-_VERDICT_STYLES = {"equal": "agrees", "agrees": "agrees", "does not agree": "disagrees", "differs": "disagrees"}
+_NOTHING = ("", "–")
+_MANY = 20  # rows from which on a table sorts and filters
+_FEW_COLUMNS, _MANY_COLUMNS = 3, 11  # with more, rows become cards on a phone; with many more, they are set smaller
+_VERDICT_STYLES = {"equal": "agrees", "agrees": "agrees", "differs": "disagrees"}
 
 
 def markup(template: str, *values: Any, **named: Any) -> HTML:
@@ -60,22 +77,9 @@ def join(parts: Iterable[HTML]) -> HTML:
 
 @dataclass(frozen=True)
 class Finding:
-    """A claim of the paper and what a run says about it.
+    """A claim of the paper and its evidence there, each in one line, and the :data:`Answer` of a run.
 
-    Attributes
-    ----------
-    page
-        Notebook that shows it.
-    claim
-        The claim, in one line.
-    paper
-        The paper's evidence, in one line.
-    rule
-        When the two agree; ours, since the paper states its claims in words.
-    found
-        What this run measured.
-    agrees
-        ``None`` if this run cannot tell.
+    The ``rule`` by which the two agree is ours, since the paper states its claims in words; ``page`` is the notebook.
     """
 
     page: str
@@ -83,21 +87,24 @@ class Finding:
     paper: str
     rule: str
     found: str
-    agrees: bool | None
+    judged: Judged
+
+    @property
+    def verdict(self) -> Verdict:
+        """*agrees*, *differs* or *cannot tell*."""
+        return self.judged.verdict
 
 
 _P = ParamSpec("_P")
 
 
-def claim(
-    page: str, text: str, *, paper: str, rule: str
-) -> Callable[[Callable[_P, tuple[str, bool | None]]], Callable[_P, Finding]]:
-    """Make a :class:`Finding` of a function that returns what a run measured and whether that agrees with a claim.
+def claim(page: str, text: str, *, paper: str, rule: str) -> Callable[[Callable[_P, Answer]], Callable[_P, Finding]]:
+    """Make a :class:`Finding` of a function that returns an :data:`Answer`.
 
     ``R@K`` and ``DAR@K`` in claim and rule become those of the function's parameter ``k``.
     """
 
-    def decorate(measure: Callable[_P, tuple[str, bool | None]]) -> Callable[_P, Finding]:
+    def decorate(measure: Callable[_P, Answer]) -> Callable[_P, Finding]:
         signature = inspect.signature(measure)
 
         @functools.wraps(measure)
@@ -112,14 +119,24 @@ def claim(
     return decorate
 
 
+def claimed(measure: Callable[_P, Answer]) -> Callable[_P, Finding]:
+    """Make a :func:`claim` of a function that answers the one of its name in ``claims.csv``."""
+    with (files("artifact.pages") / "claims.csv").open(encoding="utf-8", newline="") as stream:
+        row = {row["name"]: row for row in csv.DictReader(stream)}[measure.__name__]
+    text, rule = (
+        row[part].format(clearly=CLEARLY_PP, similar=SIMILAR_PP, no_loss=NO_LOSS_PP) for part in ("claim", "rule")
+    )
+    return claim(row["page"], text, paper=row["paper"], rule=rule)(measure)
+
+
 def findings(*found: Finding) -> HTML:
     """Show claims of the paper, what this run measured, and whether they agree."""
-    line = '<div class="line"><span class="tag">{}</span><span>{}</span></div>'
+    line = '<div class="line"><b class="tag">{}</b> <span>{}</span></div>'
     return join(
         markup(
-            f'<div class="claim">{4 * line}</div>',
+            f'<div class="claim">{5 * line}</div>',
             *("Claim", one.claim, "Paper", one.paper, "Agrees if", one.rule),
-            *("This run", markup("{} {}", one.found, verdict(_VERDICTS[one.agrees]))),
+            *("This run", markup("{} {}", minus(one.found), verdict(one.verdict)), "Why", minus(one.judged.why)),
         )
         for one in found
     )
@@ -133,17 +150,25 @@ def verdict(text: str, why: str = "") -> HTML:
 
 def findings_table(found: Sequence[Finding]) -> HTML:
     """Show all findings as one table with links to their pages."""
-    rows = [
-        {
-            "Claim": one.claim,
-            "The paper": one.paper,
-            "This run": one.found,
-            "Verdict": verdict(_VERDICTS[one.agrees]),
-            "Page": markup('<a href="{}.html">{}</a>', one.page, PAGES[one.page]),
-        }
-        for one in found
-    ]
+    rows = []
+    for one in found:
+        row = {"Claim": one.claim, "The paper": one.paper, "This run": minus(one.found)}
+        link = markup('<a href="{}.html">{}</a>', one.page, PAGES[one.page])
+        rows.append(row | {"Verdict": verdict(one.verdict), "Why": minus(one.judged.why), "Page": link})
     return table(rows, classes="findings")
+
+
+def tally(found: Sequence[Finding]) -> str:
+    """Count the verdicts on claims, in words.
+
+    Examples
+    --------
+    >>> tally([])
+    'Of 0 claims 0 agree, 0 differ, 0 cannot be told.'
+    """
+    counts = {name: sum(one.verdict == name for one in found) for name in ("agrees", "differs", "cannot tell")}
+    agree, differ, open_ = counts.values()
+    return f"Of {len(found)} claims {agree} agree, {differ} differ, {open_} cannot be told."
 
 
 # -- numbers ------------------------------------------------------------------------------------------------
@@ -159,9 +184,7 @@ def number(value: float, *, digits: int | None = None) -> str:
     """
     if pd.isna(value):
         return "–"
-    if digits is None:
-        digits = printed_digits(value)
-    return f"{value:.{digits}f}"
+    return minus(f"{value:.{printed_digits(value) if digits is None else digits}f}")
 
 
 def whole(value: float) -> str:
@@ -176,11 +199,24 @@ def change(value: float, *, digits: int = 1) -> str:
     --------
     >>> change(1.24), change(-0.04), change(float("nan"))
     ('+1.2', '0.0', '–')
+    >>> change(-2)
+    '−2.0'
     """
     if pd.isna(value):
         return "–"
     rounded = round(value, digits)
-    return f"{rounded:+.{digits}f}" if rounded else f"{0:.{digits}f}"
+    return minus(f"{rounded:+.{digits}f}") if rounded else f"{0:.{digits}f}"
+
+
+def minus(text: str) -> str:
+    """Print negative numbers of a text with the sign minus in place of the hyphen.
+
+    Examples
+    --------
+    >>> minus("-1.5 pp (p = 2e-05) since 2015-10-29, interval [-2, -1]")
+    '−1.5 pp (p = 2e-05) since 2015-10-29, interval [−2, −1]'
+    """
+    return re.sub(r"(?<![\w−-])-(?=\.?\d)", "−", text)
 
 
 def interval(low: float, high: float) -> str:
@@ -224,12 +260,10 @@ def table(
     caption: str = "",
     classes: str = "",
 ) -> HTML:
-    """Show rows as a plain table.
+    """Show rows, a frame or one mapping by heading each, as a plain table; columns that hold nothing are left out.
 
     Parameters
     ----------
-    rows
-        A frame, or one mapping by heading for each row.
     text
         How many of the first columns hold text, if all others hold numbers, which are set flush right.
     numeric
@@ -240,26 +274,26 @@ def table(
         Further CSS classes.
     """
     frame = pd.DataFrame(rows)
+    frame = frame[[column for column in frame if not frame[column].isin(_NOTHING).all()]] if len(frame) else frame
     right = set(numeric if text is None else frame.columns[text:])
-    styles = ["right" if column in right else _text_style(frame[column]) for column in frame.columns]
+    short = {column for column in frame if frame[column].astype(str).str.len().max() <= _SHORT}
+    styles = ["right" if column in right else "short" if column in short else "" for column in frame.columns]
     head = join(markup('<th class="{}">{}</th>', *pair) for pair in zip(styles, frame.columns, strict=True))
+    cell = '<td class="{}" data-label="{}">{}</td>'
     body = join(
-        markup("<tr>{}</tr>", join(markup('<td class="{}">{}</td>', *p) for p in zip(styles, row, strict=True)))
+        markup("<tr>{}</tr>", join(markup(cell, *part) for part in zip(styles, frame.columns, row, strict=True)))
         for row in frame.itertuples(index=False)
     )
+    wide = "" if (n := len(frame.columns)) <= _FEW_COLUMNS else " cards dense" if n > _MANY_COLUMNS else " cards"
+    tools = f"{' many' if len(frame) > _MANY else ''}{wide}"
     return markup(
-        '<div class="scroll{}"><table class="results {}">{}<thead><tr>{}</tr></thead><tbody>{}</tbody></table></div>',
+        '<div class="scroll{}" tabindex="0"><table class="results{} {}">{}<thead><tr>{}</tr></thead><tbody>{}</tbody></table></div>',
         " tall" if len(frame) > _TALL else "",
-        classes,
+        *(tools, classes),
         markup("<caption>{}</caption>", caption) if caption else "",
         head,
         body,
     )
-
-
-def _text_style(column: pd.Series) -> str:
-    """Keep short texts on one line."""
-    return "short" if column.astype(str).str.len().max() <= _SHORT else ""
 
 
 def marks(values: Sequence[float]) -> list[str]:
@@ -285,12 +319,35 @@ def label(text: str) -> HTML:
     return markup('<p class="origin">{}</p>', text)
 
 
-def download(frame: pd.DataFrame, name: str) -> HTML:
-    """Offer a frame as a CSV file that is embedded in the page."""
+def paragraph(text: str) -> HTML:
+    """Show a sentence that holds names and titles, which may hold anything."""
+    return markup("<p>{}</p>", text)
+
+
+def plain(text: str) -> str:
+    r"""Return text that Markdown shows as it is.
+
+    Examples
+    --------
+    >>> print(plain("<b> *my* town_2"))
+    \<b\> \*my\* town\_2
+    """
+    return re.sub(r"([\\`*_{}\[\]()<>#+\-!|$&~^:=@])", r"\\\1", text)
+
+
+def download(
+    frame: pd.DataFrame, name: str, what: str = "the data behind this page", *, compressed: bool = False
+) -> HTML:
+    """Offer a frame as a CSV file that is embedded in the page, ``compressed`` by gzip where it has many rows."""
+    content, file, kind = frame.to_csv(index=False).encode(), f"{name}.csv", "text/csv"
+    if compressed:
+        content, file, kind = gzip.compress(content, mtime=0), f"{file}.gz", "application/gzip"
     return markup(
-        '<p class="download"><a download="{name}.csv" href="data:text/csv;base64,{data}">Download the data behind '
-        "this page</a> ({name}.csv, {rows} rows)</p>",
-        name=name,
-        data=base64.b64encode(frame.to_csv(index=False).encode()).decode(),
+        '<p class="download"><a download="{file}" href="data:{kind};base64,{data}">Download {what}</a> '
+        "({file}, {rows} rows)</p>",
+        what=what,
+        file=file,
+        kind=kind,
+        data=base64.b64encode(content).decode(),
         rows=len(frame),
     )

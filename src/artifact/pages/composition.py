@@ -2,39 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
+import numpy as np
 import pandas as pd
 from IPython.display import HTML
 
-from artifact.pages.common import change, claim, markup, number, shown, table
+from artifact.pages.common import Answer, Titles, change, claimed, markup, number, shown, table
 from artifact.studies import reported
+from artifact.studies.common import Study
+from artifact.studies.composition import WITHIN_PP
+from artifact.studies.judging import Judged, all_above, first_of, within
 
-_NAMES = {"suppression": "Method", "pair": "Condition pair"}
-MOSTLY = 0.8
-"""Share of pairs within 1 percentage point that counts as "preserved"; the paper's own shares are 46/54 to 9/9."""
+_NAMES = {"suppression": "Method", "iterations": "Iterations", "pair": "Condition pair"}
 
 
 def equivalence_table(
     summary: pd.DataFrame, *, k: int = 1, caption: str = "Measured in this run; differences in pp."
 ) -> HTML:
-    """Show Tables IV and V in the paper's form: mean ± standard deviation, and pairs within 1 pp.
-
-    Parameters
-    ----------
-    summary
-        As from :func:`artifact.studies.composition.summary`.
-    k
-        K, for the headings.
-    caption
-        Says where the values are from.
-    """
+    """Show :func:`artifact.studies.composition.summary` in the form of Tables IV and V."""
     by = [column for column in _NAMES if column in summary]
     rows = []
     for row in summary.to_dict("records"):
         cells = {_NAMES[column]: row[column] for column in by}
         for metric in ("DAR", "R"):
-            cells[f"Δ{metric}@{k}: mean ± std"] = f"{row[f'mean_{metric}'] + 0.0:.2f} ± {row[f'std_{metric}']:.2f}"
+            mean = number(round(row[f"mean_{metric}"], 2) + 0.0, digits=2)
+            cells[f"Δ{metric}@{k}: mean ± std"] = f"{mean} ± {row[f'std_{metric}']:.2f}"
             cells[f"Δ{metric}@{k}: within 1 pp"] = f"{row[f'within_{metric}']} / {row['pairs']}"
         rows.append(cells)
     return table(rows, text=len(by), caption=caption)
@@ -57,15 +50,7 @@ def reported_equivalence_table(name: str) -> HTML:
 
 
 def fitting_order(titles: Sequence[str], frame: pd.DataFrame) -> HTML:
-    """Say in which order the transforms were fitted, and what a percentage point is worth on data of this size.
-
-    Parameters
-    ----------
-    titles
-        Of the datasets, in the order of fitting.
-    frame
-        The study's table, with ``queries``.
-    """
+    """Say in which order datasets were fitted, and what a percentage point is worth on a study's numbers of queries."""
     fewest, most = frame["queries"].min(), frame["queries"].max()
     return markup(
         '<p class="origin">Fitted in this order: {}. With {} to {} queries evaluated, 1 pp is {:.1f} to {:.1f} queries.</p>',
@@ -74,7 +59,7 @@ def fitting_order(titles: Sequence[str], frame: pd.DataFrame) -> HTML:
     )
 
 
-def differences_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> HTML:
+def differences_table(frame: pd.DataFrame, titles: Titles, *, k: int = 1) -> HTML:
     """Show every row of Table IV or V: DAR and R under both transforms, or before and after erasure, and the change."""
     first, second = ("single", "multi") if "single_R" in frame else ("original", "erased")
     columns = {"Suppression": "suppression", "Dataset": "title", "Pair": "pair", "Method": ("method", titles.get)}
@@ -85,38 +70,61 @@ def differences_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int 
     return table(cells, text=list(cells).index("Method") + 1)
 
 
-@claim(
-    "tab04",
-    "One composed transform does as well as a transform for each dataset.",
-    paper="46 to 52 of 54 pairs stay within 1 pp; mean differences are at most 0.25 pp",
-    rule=f"at least {MOSTLY:.0%} of the pairs stay within 1 pp, in DAR and R, with INLP and LEACE",
-)
-def one_transform_for_all(summary: pd.DataFrame) -> tuple[str, bool | None]:
-    """The composition of all transforms does as well as each dataset's own (Table IV)."""
-    return _within(summary), _mostly_within(summary)
+def _within(study: Study, suppressor: str) -> Answer:
+    """Mean differences in DAR and R with one suppression method, and whether they are within 1 pp."""
+    table = study.table.reset_index(drop=True)
+    if len(set(table["dataset"])) == 1:
+        return "one dataset composes nothing", Judged("cannot tell", "single and multi are the same transform")
+    rows = np.flatnonzero(table["suppression"] == suppressor)
+    part, parts = table.iloc[rows], []
+    resolution = 100 / part["queries"].sum()
+    for metric in ("DAR", "R"):
+        column = f"difference_{metric}"
+        one = within(part[column].mean(), study.replicates[column][rows].mean(axis=0), WITHIN_PP, resolution)
+        parts.append(Judged(one.verdict, f"mean Δ{metric}: {one.why}"))
+    return f"of {len(part)} pairs {_counted(part)}", first_of(*parts)
 
 
-@claim(
-    "tab05",
-    "The composed transform does no harm to condition pairs that it was not fitted on.",
-    paper="8 or 9 of 9 methods stay within 1 pp on two pairs; mean differences are at most 0.34 pp",
-    rule=f"at least {MOSTLY:.0%} of the methods stay within 1 pp on every pair, in DAR and R, with INLP and LEACE",
-)
-def irrelevant_conditions_unharmed(summary: pd.DataFrame) -> tuple[str, bool | None]:
-    """The composed transform does no harm to condition pairs that it was not fitted on (Table V)."""
-    lost = summary[["mean_DAR", "mean_R"]].max().max()
-    return f"{_within(summary)}; largest mean loss {max(lost, 0):.1f} pp", _mostly_within(summary)
+def _unharmed(study: Study, suppressor: str) -> Answer:
+    """Mean changes in DAR and R of each condition pair with one suppression method, and whether none is a loss of 1 pp."""
+    table = study.table.reset_index(drop=True)
+    table = table[table["suppression"] == suppressor]
+    changes, samples, parts = [], [], []
+    for pair, part in table.groupby("pair", sort=False):
+        for metric in ("DAR", "R"):
+            column = f"difference_{metric}"
+            changes.append(-part[column].mean())
+            samples.append(-study.replicates[column][part.index].mean(axis=0))
+            parts.append(f"{metric} {change(changes[-1])} on {pair}")
+    found = f"mean changes in pp: {', '.join(parts)}; of {len(table)} cases {_counted(table)}"
+    return found, all_above(np.array(changes), np.stack(samples), -WITHIN_PP)
 
 
-def _mostly_within(summary: pd.DataFrame) -> bool:
-    shares = summary[["within_DAR", "within_R"]].div(summary["pairs"], axis=0)
-    return bool((shares >= MOSTLY).to_numpy().all())
+def _counted(part: pd.DataFrame) -> str:
+    counts = " and ".join(f"{(part[f'difference_{m}'].abs() <= WITHIN_PP + 1e-9).sum()} in {m}" for m in ("DAR", "R"))
+    fewest, most = part["queries"].min(), part["queries"].max()
+    return f"{counts} stay within 1 pp, which is {fewest / 100:.1f} to {most / 100:.1f} queries"
 
 
-def _within(summary: pd.DataFrame) -> str:
-    rows = [
-        f"{' '.join(row[column] for column in _NAMES if column in row)}: DAR@1 {row['within_DAR']}, R@1 {row['within_R']} "
-        f"of {row['pairs']}"
-        for row in summary.to_dict("records")
-    ]
-    return f"within 1 pp: {'; '.join(rows)}"
+@claimed
+def one_inlp_for_all(study: Study) -> Answer:
+    """The composition of all INLP transforms does as well as each dataset's own (Table IV)."""
+    return _within(study, "INLP")
+
+
+@claimed
+def one_leace_for_all(study: Study) -> Answer:
+    """The composition of all LEACE transforms does as well as each dataset's own (Table IV)."""
+    return _within(study, "LEACE")
+
+
+@claimed
+def inlp_leaves_others_unharmed(study: Study) -> Answer:
+    """The composed INLP transform does no harm to condition pairs that it was not fitted on (Table V)."""
+    return _unharmed(study, "INLP")
+
+
+@claimed
+def leace_leaves_others_unharmed(study: Study) -> Answer:
+    """The composed LEACE transform does no harm to condition pairs that it was not fitted on (Table V)."""
+    return _unharmed(study, "LEACE")

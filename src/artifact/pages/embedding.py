@@ -9,34 +9,64 @@ from IPython.display import HTML
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from artifact.pages.style import bare, colour_handle, embed, legend_below
-from artifact.studies.embedding import Embedding
+from artifact.metrics.statistics import replicates
+from artifact.pages.common import Answer, claimed
+from artifact.pages.galleries import tiles
+from artifact.pages.style import bare, colour_handle, embed, legend_below, tell_values
+from artifact.studies.common import PERCENT
+from artifact.studies.embedding import Embedding, aligned, mixed
+from artifact.studies.judging import above
 
-_COLOURS = ("#1f77b4", "#ff7f0e")
+_COLOURS, _MARKERS = ("#1f77b4", "#ff7f0e"), ("o", "^")
+_TOLD = 300  # points that show their image on hover
 
 
 def embedding(found: Embedding, conditions: Sequence[str], title: str) -> HTML:
     """Fig. 3: UMAP before and after suppression; gray lines join geometrical mutual nearest neighbours.
 
-    Parameters
-    ----------
-    found
-        Both embeddings.
-    conditions
-        Names of the query and the database condition, for the legend.
-    title
-        Printed title of the method.
+    For the legend: the query and the database condition, and the printed title of the method.
     """
-    figure = Figure(figsize=(7.6, 3.6))
+    data = found.described.dataset
+    told = np.linspace(0, len(found.before) - 1, min(_TOLD, len(found.before))).round().astype(int)
+    images = [(data.query if row < found.n_queries else data.database, int(found.images[row])) for row in told]
+    with_images = all(part.has_images for part, _ in images)
+    texts = [f"{part.condition}, image {i}{f' ⧉{n}' if with_images else ''}" for n, (part, i) in enumerate(images)]
+    figure = Figure(figsize=(8.4, 4.0))
     before, after = figure.subplots(1, 2)
     for axes, points, name in ((before, found.before, "original"), (after, found.after, "suppressed with INLP")):
         joined = np.stack([points[found.partners[:, 0]], points[found.partners[:, 1]]], axis=1)
         axes.add_collection(LineCollection(joined, colors="0.6", linewidths=0.5, alpha=0.6, zorder=1))
-        for part, colour in zip((points[: found.n_queries], points[found.n_queries :]), _COLOURS, strict=True):
-            axes.scatter(*part.T, s=9, color=colour, linewidths=0, zorder=2)
+        parts = points[: found.n_queries], points[found.n_queries :]
+        for part, colour, marker in zip(parts, _COLOURS, _MARKERS, strict=True):
+            axes.scatter(*part.T, s=12, color=colour, marker=marker, linewidths=0, zorder=2)
+        tell_values(axes, points[told], texts, size=30)
         axes.set_title(f"{title}, {name}", fontsize=9.5)
         bare(axes, "black")
     figure.tight_layout()
     names = (f"query ({conditions[0]})", f"database ({conditions[1]})")
-    legend_below(figure, [colour_handle(*pair) for pair in zip(_COLOURS, names, strict=True)])
-    return embed(figure, "UMAP of query and database descriptors before and after condition suppression")
+    legend_below(figure, [colour_handle(*key) for key in zip(_COLOURS, names, _MARKERS, strict=True)])
+    text = "UMAP of query and database descriptors before and after condition suppression"
+    return embed(figure, text, below=tiles(images if with_images else []))
+
+
+@claimed
+def suppression_mixes_conditions(one: Embedding, seed: int = 0) -> Answer:
+    """INLP reduces the separation by condition (Fig. 3)."""
+    return _rises(mixed(one.before, one), mixed(one.after, one), one, seed, "has the other condition")
+
+
+@claimed
+def suppression_aligns_places(one: Embedding, seed: int = 0) -> Answer:
+    """INLP improves the alignment by place (Fig. 3)."""
+    return _rises(aligned(one.before, one), aligned(one.after, one), one, seed, "among database images is of its place")
+
+
+def _rises(before: np.ndarray, after: np.ndarray, one: Embedding, seed: int, what: str) -> Answer:
+    """Shares of queries before and after suppression, and whether the second is larger."""
+    gain, data = after.astype(float) - before, one.described.dataset
+    sample = PERCENT * replicates(gain, one.positions[0], data.threshold, seed=seed, stream=data.name)[0]
+    text = (
+        f"the nearest neighbour in the plane {what} for {PERCENT * before.mean():.1f} % of {len(gain)} queries before and "
+        f"{PERCENT * after.mean():.1f} % after"
+    )
+    return text, above(PERCENT * gain.mean(), sample, 0)

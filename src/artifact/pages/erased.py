@@ -10,11 +10,14 @@ from IPython.display import HTML
 from matplotlib.figure import Figure
 
 from artifact.pages.common import number, table
-from artifact.pages.style import embed, legend_below, percent_axis
+from artifact.pages.style import embed, legend_below, percent_axis, tell_values
 from artifact.studies.common import PERCENT
 from artifact.studies.erased import KINDS, Erased
 
-_KIND_COLOURS = dict(zip(KINDS, ("#2e8b57", "#0000ff", "#ffa500"), strict=True))
+_KINDS = {
+    kind: {"color": colour, "linestyle": line}
+    for kind, colour, line in zip(KINDS, ("#2e8b57", "#0000ff", "#ffa500"), ("-", "--", "-."), strict=True)
+}
 
 
 def erased_table(erased: Erased) -> HTML:
@@ -22,15 +25,9 @@ def erased_table(erased: Erased) -> HTML:
     rows = []
     for view, result in erased.evaluations.items():
         taken, recovered = map(len, erased.lost_and_recovered(view))
-        rows.append(
-            {
-                "Descriptors": view,
-                "R@1 %": number(PERCENT * result.recall(1)),
-                "DAR@1 %": number(PERCENT * result.dar(1)),
-                "RSR@1 %": number(PERCENT * result.rsr(1)),
-                "given back": f"{recovered} of {taken}" if view != "original" else "–",
-            }
-        )
+        shares = {"R": result.recall(1), "DAR": result.dar(1), "RSR": result.rsr(1)}
+        row = {"Descriptors": view} | {f"{name}@1 %": number(PERCENT * share) for name, share in shares.items()}
+        rows.append(row | {"given back": f"{recovered} of {taken}" if view != "original" else "–"})
     fit, n = erased.split, erased.evaluations["original"].n_queries
     fitted = f"fitted on {len(fit.fit_queries)} queries and {len(fit.fit_database)} database images"
     return table(rows, text=1, caption=f"{n} queries evaluated; {fitted}.")
@@ -51,22 +48,18 @@ def erased_similarities(erased: Erased) -> str:
 
 
 def iterations(table: pd.DataFrame) -> HTML:
-    """R@1 and DAR@1 after each INLP iteration, and how well the next classifier still tells the conditions.
-
-    Parameters
-    ----------
-    table
-        ``iteration``, ``R``, ``DAR``, ``accuracy`` in percent.
-    """
+    """R@1 and DAR@1 after each INLP iteration, and how well the next classifier still tells the conditions."""
     figure = Figure(figsize=(7.2, 3.1))
     axes = figure.subplots()
     curves = {
-        "R": ("R@1", "#2e8b57"),
-        "DAR": ("DAR@1", "#1f77b4"),
-        "accuracy": ("classifier, training accuracy", "0.55"),
+        "R": ("R@1", "#2e8b57", "o"),
+        "DAR": ("DAR@1", "#1f77b4", "s"),
+        "accuracy": ("classifier, training accuracy", "0.55", "^"),
     }
-    for column, (label, colour) in curves.items():
-        axes.plot(table["iteration"], table[column], color=colour, marker="o", markersize=3, label=label)
+    for column, (label, colour, marker) in curves.items():
+        axes.plot(table["iteration"], table[column], color=colour, marker=marker, markersize=3.5, label=label)
+        texts = [f"{label} {v:.2f} % after {i}" for i, v in zip(table["iteration"], table[column], strict=True)]
+        tell_values(axes, table[["iteration", column]], texts, size=25)
     axes.axhline(50, linestyle=":", color="0.55", linewidth=0.9)
     axes.set_xlabel("INLP iterations")
     percent_axis(axes, "percent")
@@ -78,16 +71,16 @@ def iterations(table: pd.DataFrame) -> HTML:
 def similarities(found: Mapping[str, Mapping[str, np.ndarray]], views: Sequence[str]) -> HTML:
     """Distributions of the cosine for the three kinds of pairs, one panel per view."""
     figure = Figure(figsize=(3.1 * len(views) + 0.4, 2.9))
-    panels = figure.subplots(1, len(views), sharey=True, squeeze=False)[0]
+    panels = figure.subplots(1, len(views), squeeze=False)[0]
     for axes, view in zip(panels, views, strict=True):
         pooled = np.concatenate(list(found[view].values()))
         edges = np.linspace(*np.quantile(pooled, [0.001, 0.999]), 60)
         centres = (edges[1:] + edges[:-1]) / 2
         for kind, values in found[view].items():
             height = np.histogram(values, edges)[0] / max(1, len(values))
-            axes.fill_between(centres, height, color=_KIND_COLOURS[kind], alpha=0.25, linewidth=0)
-            axes.plot(centres, height, color=_KIND_COLOURS[kind], linewidth=1.2, label=kind)
-            axes.axvline(np.median(values), color=_KIND_COLOURS[kind], linewidth=0.9, linestyle=":")
+            axes.fill_between(centres, height, color=_KINDS[kind]["color"], alpha=0.25, linewidth=0)
+            axes.plot(centres, height, linewidth=1.2, label=kind, **_KINDS[kind])
+            axes.axvline(np.median(values), color=_KINDS[kind]["color"], linewidth=0.9, linestyle=":")
         axes.set(title=view, yticks=[], ylim=(0, None), xlabel="cosine similarity")
     panels[0].set_ylabel("share of pairs")
     figure.tight_layout()

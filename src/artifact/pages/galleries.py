@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from collections.abc import Sequence
 
 import numpy as np
 from IPython.display import HTML
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
+from PIL import Image, ImageOps
 
 from artifact.datasets import Dataset, Traversal
 from artifact.datasets.images import read_image
+from artifact.datasets.positives import positives_of
 from artifact.metrics.evaluation import Evaluation
 from artifact.pages.common import markup
 from artifact.pages.style import QUERY_COLOUR, RIGHT_COLOUR, WRONG_COLOUR, embed, show_image
@@ -18,21 +22,18 @@ from artifact.studies.erased import Erased
 from artifact.studies.evaluated import Measured
 
 _WIDTH = 320  # pixels of a picture in a sheet
+_TILE = (96, 72)  # pixels of a picture on hover; artifact.css and artifact.js have them too
 _UNITS = {"metres": "m", "frames": "frames", "pairs": "pairs"}
+_NONE_LOST = "No query of this evaluation loses its place to a distractor."
 
-Shown = tuple[Traversal, int, str]
-"""An image of a strip: traversal, index, colour of its frame."""
+Shown = tuple[Traversal, int, str, str]
+"""An image of a strip: traversal, index, colour of its frame, note under it."""
 
 
 def contact_sheet(dataset: Dataset, n: int = 5) -> HTML:
     """Show the same places in every loaded traversal that has images: a row per traversal, a column per place.
 
-    Parameters
-    ----------
-    dataset
-        With the traversals to show loaded.
-    n
-        Places, evenly spaced along the query traversal.
+    The ``n`` places are evenly spaced along the query traversal.
     """
     rows = [traversal for traversal in dataset.traversals.values() if traversal.has_images]
     if not rows:
@@ -47,6 +48,23 @@ def contact_sheet(dataset: Dataset, n: int = 5) -> HTML:
     figure.subplots_adjust(left=0.05, right=1, top=1, bottom=0, wspace=0.02, hspace=0.03)
     text = f"{n} places of {dataset.title} in the traversals {', '.join(t.name for t in rows)}"
     return embed(figure, text, form="jpeg")
+
+
+def tiles(shown: Sequence[tuple[Traversal, int]]) -> HTML:
+    """Return one picture of many small ones, which figures show on hover by their number; nothing for no images."""
+    if not shown:
+        return HTML("")
+    across = min(len(shown), 24)
+    sheet = Image.new("RGB", (_TILE[0] * across, _TILE[1] * -(-len(shown) // across)))
+    for number, (traversal, index) in enumerate(shown):
+        image = read_image(traversal.folder / traversal.image_names[index]).convert("RGB")
+        corner = _TILE[0] * (number % across), _TILE[1] * (number // across)
+        sheet.paste(ImageOps.fit(image, _TILE), corner)
+    stream = io.BytesIO()
+    sheet.save(stream, "jpeg", quality=55)
+    data = base64.b64encode(stream.getvalue()).decode()
+    text = '<div class="tiles" hidden data-across="{}" style="background-image:url(data:image/jpeg;base64,{})"></div>'
+    return markup(text, across, data)
 
 
 def nearest(traversal: Traversal, position: np.ndarray) -> int:
@@ -111,16 +129,9 @@ def _score_arrow(figure: Figure, end: float, beside: float, score: str, colour: 
 
 
 def recovered_strips(erased: Erased, view: str, n: int = 4) -> HTML:
-    """Show queries that a distractor takes from the original descriptors and that suppression gives back.
+    """Show queries that a distractor takes from the original descriptors and that ``"LEACE"`` or ``"INLP"`` gives back.
 
-    Parameters
-    ----------
-    erased
-        From :func:`artifact.studies.erased.what_is_erased`.
-    view
-        ``"LEACE"`` or ``"INLP"``.
-    n
-        Most queries shown, spread evenly over all.
+    At most ``n`` are shown, spread evenly over all.
     """
     dataset, split = erased.described.dataset, erased.split
     _, recovered = erased.lost_and_recovered(view)
@@ -129,19 +140,14 @@ def recovered_strips(erased: Erased, view: str, n: int = 4) -> HTML:
     before, after = erased.evaluations["original"], erased.evaluations[view]
     winner, winner_after = (one.retrieved(1, distractors=True)[0][:, 0] for one in (before, after))
     queries = split.evaluation_queries[before.evaluated]
-    strips, notes = [], []
+    strips: list[list[Shown]] = []
     for query in recovered[_spread(len(recovered), n)]:
         distractor = int(winner[query]) - before.n_database
-        strips.append(
-            [
-                (dataset.query, int(queries[query]), QUERY_COLOUR),
-                (dataset.query, int(queries[distractor]), WRONG_COLOUR),
-                (dataset.database, int(split.evaluation_database[winner_after[query]]), RIGHT_COLOUR),
-            ]
-        )
-        notes.append(["", f"{_away(dataset, before, query, distractor)} away", ""])
+        taken = dataset.query, queries[distractor], WRONG_COLOUR, f"{_away(dataset, before, query, distractor)} away"
+        right = dataset.database, split.evaluation_database[winner_after[query]], RIGHT_COLOUR, ""
+        strips.append([(dataset.query, queries[query], QUERY_COLOUR, ""), taken, right])
     text = f"{len(strips)} queries of {dataset.title} that {view} recovers"
-    return _strips(strips, notes, ("Query", "Top 1, original", f"Top 1, {view}"), text)
+    return _strips(strips, ("Query", "Top 1, original", f"Top 1, {view}"), text)
 
 
 def retrieval_strips(measured: Measured, n: int = 4) -> HTML:
@@ -155,27 +161,57 @@ def retrieval_strips(measured: Measured, n: int = 4) -> HTML:
     if nothing := _nothing_to_show(dataset, lost):
         return nothing
     alone, augmented = (result.retrieved(1, distractors=added)[0][:, 0] for added in (False, True))
-    strips, notes = [], []
+    strips: list[list[Shown]] = []
     for query in lost[_spread(len(lost), n)]:
         distractor = int(augmented[query]) - result.n_database
+        away = f"{_away(dataset, result, query, distractor)} away"
+        right = dataset.database, alone[query], RIGHT_COLOUR, ""
+        taken = dataset.query, result.evaluated[distractor], WRONG_COLOUR, away
+        strips.append([(dataset.query, result.evaluated[query], QUERY_COLOUR, ""), right, taken])
+    text = f"{len(strips)} queries of {dataset.title} that retrieve the right place until distractors are added"
+    return _strips(strips, ("Query", "Top 1 of the database", "Top 1 with distractors"), text)
+
+
+def example_strips(dataset: Dataset, n: int = 3) -> HTML:
+    """Show queries evenly spaced along the traversal, each with its nearest positive and a distractor of it.
+
+    The distractor is the query image half a traversal on: what a pool of distractors is made of, whatever a method finds.
+    """
+    positions, threshold = dataset.query.positions, dataset.threshold
+    starts, positives = positives_of(positions, dataset.database.positions, threshold)
+    evaluated = np.flatnonzero(np.diff(starts))
+    if nothing := _nothing_to_show(dataset, evaluated, "No query has a positive."):
+        return nothing
+    strips: list[list[Shown]] = []
+    for query in evaluated[_spread(len(evaluated) - 1, n)] if len(evaluated) > 1 else evaluated:
+        away = np.linalg.norm(positions - positions[query], axis=1)
+        far = evaluated[away[evaluated] > threshold]
+        if not len(far):
+            continue
+        near = positives[starts[query] : starts[query + 1]]
+        distances = np.linalg.norm(dataset.database.positions[near] - positions[query], axis=1)
+        other = far[np.abs(far - (query + len(positions) // 2) % len(positions)).argmin()]
+        units = _UNITS[dataset.unit]
         strips.append(
             [
-                (dataset.query, int(result.evaluated[query]), QUERY_COLOUR),
-                (dataset.database, int(alone[query]), RIGHT_COLOUR),
-                (dataset.query, int(result.evaluated[distractor]), WRONG_COLOUR),
+                (dataset.query, int(query), QUERY_COLOUR, ""),
+                (dataset.database, int(near[distances.argmin()]), RIGHT_COLOUR, f"{distances.min():.0f} {units} away"),
+                (dataset.query, int(other), WRONG_COLOUR, f"{away[other]:.0f} {units} away"),
             ]
         )
-        notes.append(["", "", f"{_away(dataset, result, query, distractor)} away"])
-    text = f"{len(strips)} queries of {dataset.title} that retrieve the right place until distractors are added"
-    return _strips(strips, notes, ("Query", "Top 1 of the database", "Top 1 with distractors"), text)
+    if not strips:
+        return markup("<p>{}</p>", "No query has a distractor: all lie within the threshold of each other.")
+    return _strips(
+        strips, ("Query", "Positive", "A distractor"), f"Examples of {dataset.title}: query, positive, distractor"
+    )
 
 
-def _strips(strips: list[list[Shown]], notes: list[list[str]], titles: Sequence[str], text: str) -> HTML:
+def _strips(strips: list[list[Shown]], titles: Sequence[str], text: str) -> HTML:
     """Show rows of images with coloured frames: titles above the first row, notes under each image."""
     figure = Figure(figsize=(6.6, 1.62 * len(strips) + 0.3))
     axes = figure.subplots(len(strips), len(titles), squeeze=False)
-    for row, strip, beneath in zip(axes, strips, notes, strict=True):
-        for panel, (traversal, index, colour), note in zip(row, strip, beneath, strict=True):
+    for row, strip in zip(axes, strips, strict=True):
+        for panel, (traversal, index, colour, note) in zip(row, strip, strict=True):
             show_image(panel, picture(traversal, index), colour)
             panel.set_xlabel(note, fontsize=8, labelpad=2)
     for panel, title in zip(axes[0], titles, strict=True):
@@ -194,9 +230,7 @@ def _not_here(dataset: Dataset) -> HTML:
     return markup("<p>The images of {} are not on this machine.</p>", dataset.title)
 
 
-def _nothing_to_show(
-    dataset: Dataset, queries: np.ndarray, none: str = "No query of this evaluation loses its place to a distractor."
-) -> HTML | None:
+def _nothing_to_show(dataset: Dataset, queries: np.ndarray, none: str = _NONE_LOST) -> HTML | None:
     """Say why there is nothing to show, if so: no images, or no queries."""
     if not (dataset.query.has_images and dataset.database.has_images):
         return _not_here(dataset)

@@ -5,65 +5,53 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import pandas as pd
 from IPython.display import HTML
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from artifact.datasets import Traversal
 from artifact.metrics.evaluation import Evaluation
-from artifact.pages.common import change, claim, number, table
-from artifact.pages.style import (
-    DATABASE_COLOUR,
-    DISTRACTOR_COLOUR,
-    FITTING_COLOUR,
-    QUERY_COLOUR,
-    RIGHT_COLOUR,
-    WRONG_COLOUR,
-    bare,
-    colour_handle,
-    embed,
-    in_the_plane,
-    legend_below,
-)
-from artifact.pages.suppression import NO_LOSS_PP
+from artifact.pages import style
+from artifact.pages.common import NO_LOSS_PP, Answer, Titles, change, claimed, number, table
+from artifact.pages.galleries import tiles
+from artifact.pages.style import bare, colour_handle, embed, in_the_plane, legend_below, tell_values
 from artifact.studies import reported
 from artifact.studies.common import PERCENT
-from artifact.studies.mixed_database import MixedDatabase
+from artifact.studies.judging import all_above, some_above
+from artifact.studies.mixed_database import DRAWS, MixedDatabase
 
 _MATCHES = 500
 """Most matches drawn, as in the paper's Fig. 9."""
 
+_TOLD = 120
+"""Most queries of a map that show their match on hover: their images are in the page."""
+
 
 def mixed_database(
-    found: Mapping[str, MixedDatabase], panels: Mapping[str, str], conditions: Sequence[str], titles: Mapping[str, str]
+    found: Mapping[str, MixedDatabase], panels: Mapping[str, str], conditions: Sequence[str], titles: Titles
 ) -> HTML:
     """Figs. 2 and 9: each query joined with its top-1 retrieval, green within the threshold, red otherwise.
 
-    Parameters
-    ----------
-    found
-        By method: one row of panels each.
-    panels
-        Evaluation name to column title.
-    conditions
-        Names of the query condition, the database condition and the added images' condition, for the legend.
-    titles
-        Method name to printed title.
+    A row of panels for each method, a column for each evaluation with its title. ``conditions`` are those of the query,
+    the database and the added images, for the legend.
     """
     figure = Figure(figsize=(3.9 * len(panels) + 0.3, 3.7 * len(found)))
     axes = figure.subplots(len(found), len(panels), squeeze=False)
-    shares = []
+    shares: list[str] = []
+    shown: dict[tuple[str, int], tuple[int, Traversal, int]] = {}
     for row, (method, one) in zip(axes, found.items(), strict=True):
         for panel, (name, title) in zip(row, panels.items(), strict=True):
             share = f"{_recall(one, name):.1f} %"
             _draw_map(panel, one, one.evaluations[name], with_added=name != "single")
             panel.set_title(f"{titles[method]}, {title}\nR@1 {share}", fontsize=9.5)
+            _tell_matches(panel, one, one.evaluations[name], shown)
             shares.append(f"{titles[method]} {title} {share}")
     figure.tight_layout()
     _map_legend(figure, conditions, with_fit=any(len(one.fitted_queries) for one in found.values()))
-    return embed(figure, f"Maps of top-1 retrievals; R@1: {', '.join(shares)}")
+    text = f"Maps of top-1 retrievals; R@1: {', '.join(shares)}"
+    return embed(figure, text, width=390 * len(panels), below=tiles([one[1:] for one in shown.values()]))
 
 
 def _recall(one: MixedDatabase, name: str) -> float:
@@ -72,8 +60,7 @@ def _recall(one: MixedDatabase, name: str) -> float:
 
 def _draw_map(axes: Axes, one: MixedDatabase, result: Evaluation, *, with_added: bool) -> None:
     data = one.described.dataset
-    extra = next(n for n in data.traversals if n not in (data.query_name, data.database_name))
-    added = data.traversals[extra].positions[one.added]
+    added = one.added_traversal.positions[one.added]
     places, starts = data.database.positions[one.database], result.query_positions
     ends = (np.concatenate([places, added]) if with_added else places)[result.retrieved(1, distractors=False)[0][:, 0]]
     right = np.linalg.norm(ends - starts, axis=1) <= data.threshold
@@ -81,59 +68,71 @@ def _draw_map(axes: Axes, one: MixedDatabase, result: Evaluation, *, with_added:
     shown = np.linspace(0, len(starts) - 1, min(_MATCHES, len(starts))).round().astype(int)
     begin, end = in_the_plane(starts, origin), in_the_plane(ends, origin)
     for colour, chosen, width, order in (
-        (WRONG_COLOUR, shown[~right[shown]], 0.7, 2),
-        (RIGHT_COLOUR, shown[right[shown]], 2.6, 6),
+        (style.WRONG_COLOUR, shown[~right[shown]], 0.7, 2),
+        (style.RIGHT_COLOUR, shown[right[shown]], 2.6, 6),
     ):
         lines = np.stack([begin[chosen], end[chosen]], axis=1)
         axes.add_collection(LineCollection(lines, colors=colour, linewidths=width, alpha=0.75, zorder=order))
-    axes.scatter(*in_the_plane(places, origin).T, s=14, color=DATABASE_COLOUR, zorder=4, linewidths=0)
-    axes.scatter(*begin.T, s=5, color=QUERY_COLOUR, zorder=5, linewidths=0)
+    axes.scatter(*in_the_plane(places, origin).T, s=14, color=style.DATABASE_COLOUR, marker="s", zorder=4, linewidths=0)
+    axes.scatter(*begin.T, s=5, color=style.QUERY_COLOUR, zorder=5, linewidths=0)
     if len(one.fitted_queries):
         fitted = in_the_plane(data.query.positions[one.fitted_queries], origin)
-        axes.scatter(*fitted.T, s=14, color=FITTING_COLOUR, zorder=7, linewidths=0)
+        axes.scatter(*fitted.T, s=16, color=style.FITTING_COLOUR, marker="D", zorder=7, linewidths=0)
     if with_added and len(added):
-        dots = {"color": DISTRACTOR_COLOUR, "edgecolors": "white", "linewidths": 0.4}
-        axes.scatter(*in_the_plane(added, origin).T, s=16, zorder=8, **dots)
+        dots = {"color": style.DISTRACTOR_COLOUR, "marker": "^", "edgecolors": "white", "linewidths": 0.4}
+        axes.scatter(*in_the_plane(added, origin).T, s=26, zorder=8, **dots)
     axes.autoscale()
     axes.set_aspect("equal", adjustable="datalim")
     bare(axes, "0.7")
 
 
+def _tell_matches(
+    axes: Axes, one: MixedDatabase, result: Evaluation, shown: dict[tuple[str, int], tuple[int, Traversal, int]]
+) -> None:
+    """Give some queries of a map their match and the two images on hover; ``shown`` gathers the images of all maps."""
+    data = one.described.dataset
+    query, database, extra = data.query, data.database, one.added_traversal
+    chosen = np.linspace(0, result.n_queries - 1, min(_TOLD, result.n_queries)).round().astype(int)
+    texts = []
+    for row in chosen:
+        found = int(result.retrieved(1, distractors=False)[0][row, 0])
+        added = found - len(one.database)
+        pair = [(query, int(one.queries[result.evaluated[row]]))]
+        pair.append((database, int(one.database[found])) if added < 0 else (extra, int(one.added[added])))
+        (_, i), (match, j) = pair
+        away = np.linalg.norm(match.positions[j] - query.positions[i])
+        text = f"query {i}, match {j} of {match.name}, {away:.0f} {'m' if data.unit == 'metres' else data.unit} away"
+        if query.has_images and match.has_images:
+            numbers = [shown.setdefault((part.name, k), (len(shown), part, k))[0] for part, k in pair]
+            text += f" ⧉{numbers[0]} {numbers[1]}"
+        texts.append(text)
+    origin = database.positions[one.database].mean(axis=0)
+    tell_values(axes, in_the_plane(result.query_positions[chosen], origin), texts, size=40)
+
+
 def _map_legend(figure: Figure, conditions: Sequence[str], *, with_fit: bool) -> None:
     query, database, added = conditions
-    handles = [colour_handle(FITTING_COLOUR, "fitting region")] if with_fit else []
+    handles = [colour_handle(style.FITTING_COLOUR, "fitting region", "D")] if with_fit else []
     handles += [
-        colour_handle(QUERY_COLOUR, f"query ({query})"),
-        colour_handle(DATABASE_COLOUR, f"database ({database})"),
-        colour_handle(DISTRACTOR_COLOUR, f"added to the database ({added})"),
-        Line2D([], [], color=RIGHT_COLOUR, label="right"),
-        Line2D([], [], color=WRONG_COLOUR, label="wrong"),
+        colour_handle(style.QUERY_COLOUR, f"query ({query})", "o"),
+        colour_handle(style.DATABASE_COLOUR, f"database ({database})"),
+        colour_handle(style.DISTRACTOR_COLOUR, f"added to the database ({added})", "^"),
+        Line2D([], [], color=style.RIGHT_COLOUR, linewidth=2.6, label="right (thick)"),
+        Line2D([], [], color=style.WRONG_COLOUR, linewidth=0.9, label="wrong (thin)"),
     ]
     legend_below(figure, handles)
 
 
-def mixed_table(found: Mapping[str, MixedDatabase], panels: Mapping[str, str], titles: Mapping[str, str]) -> HTML:
-    """Show R@1 of each panel and the change between them.
-
-    Parameters
-    ----------
-    found
-        By method.
-    panels
-        Evaluation name to heading, two of them, before and after.
-    titles
-        Method name to printed title.
-    """
+def mixed_table(found: Mapping[str, MixedDatabase], panels: Mapping[str, str], titles: Titles) -> HTML:
+    """Show R@1 of each of two panels, an evaluation and its heading, and the change between them."""
     rows = []
     for method, one in found.items():
-        counts = {
-            "Queries": next(iter(one.evaluations.values())).n_queries,
-            "Database": len(one.database),
-            "Added": len(one.added),
-        }
-        recalls = {heading: _recall(one, name) for name, heading in panels.items()}
-        rows.append(_before_and_after(titles[method], recalls) | counts)
-    return table(rows, text=1, caption="Measured in this run.")
+        recalls = {heading: float(one.recalls(name).mean()) for name, heading in panels.items()}
+        queries = next(iter(one.evaluations.values())).n_queries
+        counts = {"Queries": queries, "Database": len(one.database), "Added": len(one.added)}
+        spread = {"Spread over choices": _spread(one.recalls(list(panels)[-1]))}
+        rows.append(_before_and_after(titles[method], recalls) | spread | counts)
+    return table(rows, text=1, caption=f"Measured in this run: means over {DRAWS} choices of the added images.")
 
 
 def reported_mixed_table(name: str) -> HTML:
@@ -153,38 +152,40 @@ def _before_and_after(title: str, recalls: Mapping[str, float]) -> dict[str, obj
     return {"Method": title, **shown, "Change (pp)": change(after - before)}
 
 
-@claim(
-    "fig02",
-    "A few images of the query's kind of condition in the database can lower R@1, though some of them show the place.",
-    paper="5 % of a day traversal lower R@1 on RobotCar from 95.9 % to 80.5 % (AnyLoc), from 91.5 % to 86.8 % (EigenPlaces)",
-    rule=f"some method loses more than {NO_LOSS_PP:g} pp",
-)
-def few_images_lower_recall(found: Mapping[str, MixedDatabase], titles: Mapping[str, str]) -> tuple[str, bool | None]:
+@claimed
+def few_images_lower_recall(found: Mapping[str, MixedDatabase], titles: Titles, seed: int = 0) -> Answer:
     """A few images of the query's condition in the database lower R@1 (Fig. 2)."""
-    recalls = pd.DataFrame(
-        {method: [_recall(one, name) for name in ("single", "mixed")] for method, one in found.items()}
-    )
-    loss = recalls.loc[0] - recalls.loc[1]
-    before, after = recalls[loss.idxmax()]
-    added = len(next(iter(found.values())).added)
-    text = (
-        f"{added} added images lower R@1 for {(loss > 0).sum()} of {len(loss)} methods; {titles[loss.idxmax()]} goes from "
-        f"{before:.1f} % to {after:.1f} %"
-    )
-    return text, bool(loss.max() > NO_LOSS_PP)
+    loss, sample = _steps(found, "single", "mixed", seed)
+    judged, certain = some_above(-loss, -sample, NO_LOSS_PP)
+    lowered = [titles[method] for method, one in zip(found, certain, strict=True) if one]
+    text = f"R@1 falls beyond chance for {len(lowered)} of {len(found)} methods; {_in_words(found, 'single', 'mixed', titles)}"
+    return text, judged
 
 
-@claim(
-    "fig09",
-    "INLP, fitted on one end of the map, raises R@1 on a mixed database elsewhere.",
-    paper="on RobotCar from 80.4 % to 96.8 % (AnyLoc) and from 88.7 % to 93.8 % (EigenPlaces)",
-    rule="R@1 rises for every method",
-)
-def suppression_helps_mixed_database(
-    found: Mapping[str, MixedDatabase], titles: Mapping[str, str]
-) -> tuple[str, bool | None]:
+@claimed
+def suppression_helps_mixed_database(found: Mapping[str, MixedDatabase], titles: Titles, seed: int = 0) -> Answer:
     """INLP raises R@1 on a mixed database, with a fit on another part of the map (Fig. 9)."""
-    changes = {titles[m]: (_recall(one, "original"), _recall(one, "INLP")) for m, one in found.items()}
-    rises = sum(after > before for before, after in changes.values())
-    pairs = ", ".join(f"{title} {before:.1f} % to {after:.1f} %" for title, (before, after) in changes.items())
-    return f"R@1 rises for {rises} of {len(changes)} methods: {pairs}", rises == len(changes)
+    gain, sample = _steps(found, "original", "INLP", seed)
+    text = f"R@1 rises for {(gain > 0).sum()} of {len(gain)} methods; {_in_words(found, 'original', 'INLP', titles)}"
+    return text, all_above(gain, sample, 0)
+
+
+def _steps(found: Mapping[str, MixedDatabase], before: str, after: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Changes of R@1 ``(methods,)`` in pp, and their replicates."""
+    drawn = [one.replicates(seed) for one in found.values()]
+    values = [one.recalls(after).mean() - one.recalls(before).mean() for one in found.values()]
+    return np.array(values), np.stack([one[after] - one[before] for one in drawn])
+
+
+def _in_words(found: Mapping[str, MixedDatabase], before: str, after: str, titles: Titles) -> str:
+    parts = [
+        f"{titles[method]} {one.recalls(before).mean():.1f} % to {one.recalls(after).mean():.1f} % "
+        f"({_spread(one.recalls(after))})"
+        for method, one in found.items()
+    ]
+    draws = max(one.hits[after].shape[1] for one in found.values())
+    return f"means over {draws} choices of the added images, in brackets their spread: {', '.join(parts)}"
+
+
+def _spread(draws: np.ndarray) -> str:
+    return f"{draws.min():.1f} to {draws.max():.1f}"

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import pandas as pd
 from IPython.display import HTML
 
 from artifact import studies
-from artifact.pages import composition, distractors, mixed_database, recall, suppression
-from artifact.pages.common import Finding, markup, number
+from artifact.extraction.described import Described
+from artifact.pages import composition, distractors, embedding, mixed_database, recall, suppression
+from artifact.pages.common import PAGES, Finding, Titles, markup, number
+from artifact.pages.common import tally as in_words
 from artifact.pages.scope import NothingToShowError, Page
 from artifact.studies.common import Study
+from artifact.studies.mixed_database import MixedDatabase
 from artifact.studies.verdicts import DISTANCES, RATIOS
 
 
@@ -23,78 +27,81 @@ class Collected:
 
     findings: tuple[Finding, ...]
     recall: pd.DataFrame
-    studies: tuple[Study, ...]
+    studies: tuple[Study | MixedDatabase | Described, ...]
 
 
 def collect(page: Page, fractions: Sequence[float], *, seed: int = 0) -> Collected:
     """Evaluate every claim that the datasets at hand can speak to, in the order of the paper.
 
-    Parameters
-    ----------
-    page
-        Its datasets and methods; claims on suppression take the single-stage ones.
-    fractions
-        Query fitting fractions of Fig. 10.
-    seed
-        Seed of all random choices.
+    Claims on suppression take the single-stage methods; ``fractions`` are those of Fig. 10, the seed is that of all
+    choices.
     """
     titles = page.method_titles
     measured = studies.recall.recall_table(page.manifest, page.datasets, page.methods, seed=seed)
     found = [
-        recall.distractors_lower_recall(measured.table, titles),
-        recall.ranking_changes(measured.table, titles),
-        recall.similar_recall_hides_differences(measured.table, titles),
+        recall.distractors_lower_recall(measured, titles),
+        recall.ranking_changes(measured, titles),
+        recall.mean_ranking_changes(measured, titles),
+        recall.similar_recall_hides_differences(measured, titles),
     ]
-    used = [measured]
-    for part, needs in (
-        (_number_and_distance, {"unit": "metres"}),
-        (_condition, {"distractor_traversals": True}),
-        (_mixed, {"same_condition_traversal": True}),
-        (functools.partial(_suppression, fractions=fractions), None),
-    ):
-        try:
-            findings, more = part(page if needs is None else page.choose(**needs), seed)
-        except NothingToShowError:
-            continue
-        found += findings
-        used += more
-    return Collected(tuple(found), measured.table, tuple(used))
+    used: list[Study | MixedDatabase | Described] = [measured]
+    suppression_of = functools.partial(_suppression, fractions=fractions)
+    for part in (_number_and_distance, _condition, _mixed, _embedding, suppression_of):
+        with contextlib.suppress(NothingToShowError):
+            findings, more = part(page, seed)
+            found += findings
+            used += more
+    order = list(PAGES)
+    return Collected(tuple(sorted(found, key=lambda one: order.index(one.page))), measured.table, tuple(used))
 
 
 def _number_and_distance(page: Page, seed: int) -> tuple[list[Finding], list[Study]]:
-    """Fig. 6, on the first dataset with a threshold in metres."""
-    threshold = page.manifest.dataset(page.dataset).threshold.value
-    distances = [threshold, *(d for d in DISTANCES if d > threshold), float("inf")]
-    what = page.manifest, page.dataset, page.methods
-    number = studies.distractors.distractor_number(*what, RATIOS, seed=seed)
-    distance = studies.distractors.distractor_distance(*what, distances, seed=seed)
+    """Fig. 6: (a) on the first dataset with a threshold in metres, (b) on all of them."""
+    first, titles = page.choose(unit="metres"), page.method_titles
+    number = studies.distractors.distractor_number(page.manifest, first.dataset, page.methods, RATIOS, seed=seed)
+    distance = studies.distractors.by_distance_everywhere(
+        page.manifest, page.datasets, page.methods, DISTANCES, seed=seed
+    )
     return [
-        distractors.few_distractors_suffice(number.table, page.method_titles),
-        distractors.near_distractors_hurt_most(distance.table, page.method_titles),
+        distractors.few_distractors_suffice(number, titles),
+        distractors.more_distractors_hurt_more(number, titles),
+        distractors.near_distractors_hurt_most(distance, titles),
+        distractors.far_distractors_still_hurt(distance, titles),
     ], [number, distance]
 
 
 def _condition(page: Page, seed: int) -> tuple[list[Finding], list[Study]]:
     """Fig. 7, on the first dataset with distractor traversals."""
+    page = page.choose(distractor_traversals=True)
     study = studies.distractors.distractor_condition(page.manifest, page.dataset, page.methods, seed=seed)
     return [
-        distractors.own_condition_hurts_most(study.table, page.method_titles, page.conditions),
-        distractors.database_condition_hurts_little(study.table, page.conditions),
+        distractors.own_condition_hurts_most(study, page.method_titles, page.conditions),
+        distractors.conditions_between_hurt_less(study, page.conditions),
+        distractors.database_condition_hurts_little(study, page.conditions),
     ], [study]
 
 
-def _mixed(page: Page, seed: int) -> tuple[list[Finding], list[Study]]:
+def _mixed(page: Page, seed: int) -> tuple[list[Finding], list[MixedDatabase]]:
     """Figs. 2 and 9, on the first dataset with a further traversal of the query's kind of condition."""
-    page = page.single_stage()
+    page = page.choose(same_condition_traversal=True).single_stage()
     mixed, suppressed = (
         {method: study(page.manifest, page.dataset, method, seed=seed) for method in page.methods}
         for study in (studies.mixed_database.mixed_database, studies.mixed_database.mixed_database_suppressed)
     )
-    inputs = tuple(record for one in mixed.values() for record in one.inputs)
     return [
-        mixed_database.few_images_lower_recall(mixed, page.method_titles),
-        mixed_database.suppression_helps_mixed_database(suppressed, page.method_titles),
-    ], [Study(pd.DataFrame(), inputs)]
+        mixed_database.few_images_lower_recall(mixed, page.method_titles, seed),
+        mixed_database.suppression_helps_mixed_database(suppressed, page.method_titles, seed),
+    ], list(mixed.values())
+
+
+def _embedding(page: Page, seed: int) -> tuple[list[Finding], list[Described]]:
+    """Fig. 3, on a dataset with a threshold in metres if there is one."""
+    page = page.single_stage()
+    chosen = page.choose(prefer="metres")
+    one = studies.embedding.embedding(page.manifest, chosen.dataset, page.methods[-1], seed=seed)
+    return [embedding.suppression_mixes_conditions(one, seed), embedding.suppression_aligns_places(one, seed)], [
+        one.described
+    ]
 
 
 def _suppression(page: Page, seed: int, *, fractions: Sequence[float]) -> tuple[list[Finding], list[Study]]:
@@ -107,16 +114,21 @@ def _suppression(page: Page, seed: int, *, fractions: Sequence[float]) -> tuple[
     irrelevant = studies.composition.irrelevant_conditions(manifest, order, methods, seed=seed)
     by_fraction = studies.suppression.fitting_fraction(manifest, names, methods, fractions, seed=seed)
     found = [
-        suppression.labels_less_accessible(changes.table),
-        suppression.suppression_raises_dar(changes.table, titles),
-        suppression.suppression_keeps_recall(changes.table, titles),
-        composition.one_transform_for_all(studies.composition.summary(multi.table, ["suppression"])),
+        *suppression.of_changes(changes, titles),
+        composition.one_inlp_for_all(multi),
+        composition.one_leace_for_all(multi),
     ]
     if len(irrelevant.table):
-        summary = studies.composition.summary(irrelevant.table, ["suppression", "pair"])
-        found.append(composition.irrelevant_conditions_unharmed(summary))
-    found.append(suppression.a_tenth_suffices(studies.suppression.mean_by_fraction(by_fraction.table)))
-    return found, [changes, multi, irrelevant, by_fraction]
+        found += [
+            composition.inlp_leaves_others_unharmed(irrelevant),
+            composition.leace_leaves_others_unharmed(irrelevant),
+        ]
+    return [*found, *suppression.of_fractions(by_fraction)], [changes, multi, irrelevant, by_fraction]
+
+
+def tally(found: Sequence[Finding]) -> HTML:
+    """Show how many claims agree, differ and cannot be told, as ``make reproduce`` prints it."""
+    return markup('<p class="tally">{}</p>', in_words(found))
 
 
 def scope_notice(page: Page) -> HTML:
@@ -133,7 +145,7 @@ def scope_notice(page: Page) -> HTML:
     return markup(box, page.label, note)
 
 
-def headline(frame: pd.DataFrame, titles: Mapping[str, str]) -> HTML:
+def headline(frame: pd.DataFrame, titles: Titles) -> HTML:
     """Show the clearest real case of the run in one sentence with its numbers."""
     real = frame[frame["origin"].str.startswith("real")]
     chosen = real if len(real) else frame

@@ -12,30 +12,23 @@ from matplotlib.figure import Figure
 
 from artifact.datasets import Dataset
 from artifact.datasets.positives import positives_of
-from artifact.pages.common import join, markup, number, table
+from artifact.pages.common import join, markup, number, or_dash, shown, table
 from artifact.pages.style import DATABASE_COLOUR, QUERY_COLOUR, embed, in_the_plane
 from artifact.studies.preview import in_words
+
+_MANY = 1500  # points from which on a plot is stored as an image: as drawings they would make a page slow
 
 
 def traversals_table(frame: pd.DataFrame, unit: str) -> HTML:
     """Show the traversals of a dataset; ``unit`` is that of their spacing."""
-    pictures = frame["size"].notna().any()
-    rows = []
-    for row in frame.to_dict("records"):
-        cells = {
-            "Traversal": row["traversal"],
-            "Condition": row["condition"],
-            "Use": row["use"],
-            "Images": row["images"],
-        }
-        cells[f"Spacing ({unit})"] = number(row["spacing"])
-        if pictures:
-            cells |= {"Size": row["size"] or "–", "Other sizes": row["other_sizes"], "Modes": row["modes"] or "–"}
-            cells["Brightness"] = number(row["brightness"], digits=2)
-        rows.append(cells)
+    columns = {"Traversal": "traversal", "Condition": "condition", "Use": "use", "Images": "images"}
+    columns[f"Spacing ({unit})"] = ("spacing", number)
     caption = "Spacing: median between neighbours."
-    caption += " Size, modes and brightness (0 to 1): of at most 25 images of each." if pictures else ""
-    return table(rows, text=3, caption=caption)
+    if frame["size"].notna().any():
+        columns |= {"Size": ("size", or_dash), "Other sizes": "other_sizes", "Modes": ("modes", or_dash)}
+        columns["Brightness"] = ("brightness", lambda value: number(value, digits=2))
+        caption += " Size, modes and brightness (0 to 1): of at most 25 images of each."
+    return table(shown(frame, columns), text=3, caption=caption)
 
 
 def facts(found: Mapping[str, Any], remarks: Sequence[str] = ()) -> HTML:
@@ -56,7 +49,8 @@ def positions_figure(dataset: Dataset) -> HTML:
     for part, colour, height in ((dataset.database, DATABASE_COLOUR, 0.0), (dataset.query, QUERY_COLOUR, 1.0)):
         x, y = in_the_plane(part.positions, origin).T
         y = y + height if part.positions.shape[1] == 1 else y
-        where.plot(x, y, ".", color=colour, markersize=2.5, label=f"{part.name} ({len(part)})")
+        many = len(part) > _MANY
+        where.plot(x, y, ".", color=colour, markersize=2.5, label=f"{part.name} ({len(part)})", rasterized=many)
     if dataset.query.positions.shape[1] > 1:
         where.set_aspect("equal", adjustable="datalim")
         where.set(xlabel="x (m)", ylabel="y (m)")
@@ -64,7 +58,7 @@ def positions_figure(dataset: Dataset) -> HTML:
         where.set(xlabel=f"index ({dataset.unit})", yticks=[], ylim=(-1, 2))
     where.legend(loc="best", fontsize=8)
     counts = np.diff(positives_of(dataset.query.positions, dataset.database.positions, dataset.threshold)[0])
-    positives.plot(counts, color=QUERY_COLOUR, linewidth=0.9)
+    positives.plot(counts, color=QUERY_COLOUR, linewidth=0.9, rasterized=len(counts) > _MANY)
     positives.set(xlabel="query", ylabel="positives", ylim=(0, None))
     positives.grid(visible=True)
     figure.tight_layout(w_pad=1.4)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import pandas as pd
 from IPython.display import HTML
 
-from artifact.pages.common import change, number, shown, table
+from artifact.pages.common import Titles, change, number, shown, table
 from artifact.studies.protocol import Decision
 
 
@@ -17,7 +17,7 @@ def protocol_table(decisions: Sequence[Decision]) -> HTML:
     return table(rows, classes="findings")
 
 
-def sensitivity_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> HTML:
+def sensitivity_table(frame: pd.DataFrame, titles: Titles, *, k: int = 1) -> HTML:
     """Show the changes that open choices make, in percentage points."""
 
     def two_decimals(value: float) -> str:
@@ -26,15 +26,9 @@ def sensitivity_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int 
     def difference(value: float) -> str:
         return "0" if abs(value) <= 1e-9 else change(value, digits=2)
 
-    columns = {
-        "Dataset": "title",
-        "Method": ("method", titles.get),
-        f"R@{k} %": ("R", two_decimals),
-        f"DAR@{k} %": ("DAR", two_decimals),
-        "Ties: ΔR": ("ties_R", difference),
-        "Ties: ΔDAR": ("ties_DAR", difference),
-        "Excluded: ΔR": ("excluded_R", difference),
-        "Excluded: ΔDAR": ("excluded_DAR", difference),
-        "Threshold ×2: ΔDAR": ("beyond_DAR", difference),
-    }
+    columns = {"Dataset": "title", "Method": ("method", titles.get)}
+    columns |= {f"{metric}@{k} %": (metric, two_decimals) for metric in ("R", "DAR")}
+    for choice in ("ties", "excluded"):
+        columns |= {f"{choice.capitalize()}: Δ{metric}": (f"{choice}_{metric}", difference) for metric in ("R", "DAR")}
+    columns["Threshold ×2: ΔDAR"] = ("beyond_DAR", difference)
     return table(shown(frame, columns), text=2, caption="Changes in percentage points.")

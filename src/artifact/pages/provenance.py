@@ -8,7 +8,7 @@ import subprocess
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import pandas as pd
 from IPython.display import HTML
@@ -16,30 +16,31 @@ from IPython.display import HTML
 from artifact.pages.common import join, markup, table
 from artifact.pages.scope import Page
 
-
-class Recorded(Protocol):
-    """Anything that knows the records of its inputs."""
-
-    @property
-    def inputs(self) -> tuple[dict[str, Any], ...]:
-        """One record per traversal and method."""
+MADE_BY = "<!-- made by -->"
+"""Where the run of a book puts the command that makes the page and links to the functions that computed it."""
 
 
-def provenance(page: Page, *studies: Recorded) -> HTML:
-    """Show what made this page: every parameter of the notebook as settled, inputs, code revision, machine and time."""
+def provenance(page: Page, *studies: Any) -> HTML:
+    """Show what made this page: parameters as settled, the ``inputs`` of each study, code revision, machine, time.
+
+    The metadata of the box names the stored results that the page read until now.
+    """
     inputs = pd.DataFrame([record for study in studies for record in study.inputs]).drop_duplicates()
     facts = {
         "Code": code_revision(),
         "Run": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "Machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
     }
-    return markup(
-        '<details class="provenance"><summary>Provenance: parameters, inputs, code, time</summary>'
+    box = markup(
+        '<details class="provenance"><summary>Provenance: command, functions, parameters, inputs, time</summary>{}'
         "<ul>{}</ul><ul>{}</ul>{}</details>",
+        HTML(MADE_BY),
         join(markup("<li><code>{} = {!r}</code></li>", *item) for item in page.parameters.items()),
         join(markup("<li>{}: {}</li>", *item) for item in facts.items()),
         table(inputs, numeric=["images"]) if len(inputs) else markup("<p>No descriptors are used here.</p>"),
     )
+    box.metadata = {"results": list(dict.fromkeys(page.manifest.results))}
+    return box
 
 
 def code_revision() -> str:

@@ -3,41 +3,32 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from IPython.display import display
+
 from artifact import datasets as data
 from artifact import manifest as manifests
 from artifact.datasets.appearance import has_appearance
+from artifact.extraction import extract
 from artifact.manifest import TYPED_IN, Manifest
 from artifact.manifest.entries import ManifestError
-from artifact.pages.style import use_style
+from artifact.pages.parameters import ParameterError, faults, injected, settled, unknown
+from artifact.pages.style import page_style, use_style
 from artifact.studies import preview
 from artifact.studies.common import NothingToShowError, single_stage
 
 __all__ = ["NothingToShowError", "Page", "open_page"]
-
 
 MADE = "Rehearsal: made descriptors. No number on this page is a result; it shows that the page can be made."
 
 
 @dataclass(frozen=True)
 class Page:
-    """The settled scope of one notebook.
-
-    Attributes
-    ----------
-    manifest
-        The manifest.
-    profile
-        Name of the profile.
-    datasets, methods
-        Names, in the order shown.
-    asked
-        The notebook's further parameters, as given.
-    """
+    """The settled scope of one notebook: datasets and methods in the order shown, and further parameters as given."""
 
     manifest: Manifest
     profile: str
@@ -92,10 +83,11 @@ class Page:
             images.append(f"rendered images ({rendered[0] if len(rendered) == 1 else f'{len(rendered)} City pairs'})")
         with_what = " and ".join(what[kind] for kind in sorted(kinds))
         counted = [name for name in self.datasets if self.manifest.dataset(name).paper is not None]
-        counts = [f"{text}." for name in counted for text in data.load(self.manifest, name).differences]
+        notes = [text for name in counted for text in self._load(name).differences]
         own = [name for name in self.datasets if name not in self.manifest.datasets]
-        counts += [f"Warning: {text}." for name in own for text in preview.remarks(self.manifest, name)]
-        return " ".join([f"Measured by profile “{self.profile}” on {' and '.join(images)} with {with_what}.", *counts])
+        notes += [f"Warning: {text}" for name in own for text in preview.remarks_on(self.manifest, self._load(name))]
+        measured = f"Measured by profile “{self.profile}” on {' and '.join(images)} with {with_what}."
+        return " ".join([measured, *(f"{text}." for text in notes)])
 
     @property
     def conditions(self) -> tuple[str, str]:
@@ -120,25 +112,16 @@ class Page:
         distractor_traversals: bool = False,
         same_condition_traversal: bool = False,
         images: bool = False,
+        descriptors: bool = False,
         single_stage: bool = False,
         prefer: Literal["real", "metres"] | None = None,
     ) -> Page:
         """Return the page with one dataset: the one that its parameter names, or the first of the profile that suits.
 
-        If the page has one method, it is the one that its parameter names, or the last of the profile that suits.
-
-        Parameters
-        ----------
-        unit
-            Unit that the threshold must have.
-        distractor_traversals, same_condition_traversal
-            Whether the manifest must name traversals of further conditions, or of the query's kind of condition.
-        images
-            Whether the images of the pair must be at hand.
-        single_stage
-            Whether the method must not re-rank: its descriptors then are all there is to it.
-        prefer
-            What comes first: real images, or a threshold in metres.
+        If the page has one method, it is the one that its parameter names, or the last of the profile that suits: with
+        ``single_stage`` one that does not re-rank. The dataset must have a threshold in ``unit``, traversals of further
+        conditions or of the query's kind of condition, its images or the values of its descriptors at hand, as asked;
+        ``prefer`` says what comes first, real images or a threshold in metres.
 
         Raises
         ------
@@ -148,25 +131,23 @@ class Page:
             If the named dataset does not suit, or none of the profile does.
         """
         page = self._with_one_method(single_stage) if "method" in self.asked else self
-        entries = {name: self.manifest.dataset(name) for name in self.datasets}
+        entry = self.manifest.dataset
         last = {
-            "real": lambda name: entries[name].kind == "city",
-            "metres": lambda name: entries[name].threshold.unit != "metres",
+            "real": lambda name: entry(name).kind == "city",
+            "metres": lambda name: entry(name).threshold.unit != "metres",
             None: lambda _: False,
         }[prefer]
-        for name in sorted(entries, key=last):
-            entry = entries[name]
-            if (
-                (unit is None or entry.threshold.unit == unit)
-                and (entry.distractor_traversals or not distractor_traversals)
-                and (entry.same_condition_traversal or not same_condition_traversal)
-                and (not images or self._has_images(name))
-            ):
+        checks = [
+            (unit, f"a threshold in {unit}", lambda n: entry(n).threshold.unit == unit),
+            (distractor_traversals, "the key distractor_traversals", lambda n: entry(n).distractor_traversals),
+            (same_condition_traversal, "the key same_condition_traversal", lambda n: entry(n).same_condition_traversal),
+            (images, "its images at hand", self._has_images),
+            (descriptors, "the values of its descriptors at hand", page._has_descriptors),
+        ]
+        needs = {what: suits for asked, what, suits in checks if asked}
+        for name in sorted(self.datasets, key=last):
+            if all(suits(name) for suits in needs.values()):
                 return page.only(name)
-        needs = [f"a threshold in {unit}"] if unit else []
-        needs += ["the key distractor_traversals"] if distractor_traversals else []
-        needs += ["the key same_condition_traversal"] if same_condition_traversal else []
-        needs += ["its images at hand"] if images else []
         need = f"this page needs a dataset with {' and '.join(needs)}"
         if self.asked.get("dataset") is not None:
             raise NothingToShowError(f"{need}; {self.dataset!r} is not one")
@@ -181,8 +162,7 @@ class Page:
 
     def with_statistics(self) -> Page:
         """Return the page with the datasets of which image statistics are at hand."""
-        queries = {name: data.load(self.manifest, name).query for name in self.datasets}
-        names = tuple(name for name, query in queries.items() if has_appearance(query))
+        names = [name for name in self.datasets if has_appearance(self._load(name).query, self.manifest.cache)]
         if not names:
             raise NothingToShowError("this page needs images or their statistics; no dataset of this run has them")
         return self.only(*names)
@@ -196,41 +176,52 @@ class Page:
             raise ManifestError(f"method {self.methods[0]!r}: {need}")
         raise NothingToShowError(f"{need}; no method of profile {self.profile!r} is one")
 
+    def _load(self, name: str) -> data.Dataset:
+        return data.load(self.manifest, name)
+
     def _has_images(self, name: str) -> bool:
-        loaded = data.load(self.manifest, name)
+        loaded = self._load(name)
         return loaded.query.has_images and loaded.database.has_images
+
+    def _has_descriptors(self, name: str) -> bool:
+        loaded = self._load(name)
+        pair = loaded.query, loaded.database
+        return all(extract.is_at_hand(self.manifest, traversal, self.method) for traversal in pair)
 
     def load_all(self, dataset: str) -> data.Dataset:
         """Load a dataset with all of its traversals."""
         return data.load(self.manifest, dataset, self.manifest.dataset(dataset).traversals)
 
 
-def open_page(profile: str, **parameters: Any) -> Page:
-    """Settle a notebook's scope and set the figure style.
+def named(parameters: Mapping[str, Any], kind: str, default: Sequence[str]) -> tuple[str, ...]:
+    """Return what parameters name as ``dataset`` or ``method``, else as ``datasets`` or ``methods``, else a default."""
+    if parameters.get(kind) is not None:
+        return (parameters[kind],)
+    several = parameters.get(f"{kind}s")
+    return tuple(default if several is None else several)
 
-    Parameters
-    ----------
-    profile
-        Profile of the manifest.
-    **parameters
-        All other parameters of the notebook, so that its provenance shows them. ``datasets`` and ``methods`` are lists
-        of names, ``dataset`` and ``method`` one name; ``None`` takes all of the profile. A page
-        with ``dataset`` or ``method`` then calls :meth:`Page.choose`.
+
+def open_page(profile: str, **parameters: Any) -> Page:
+    """Settle a notebook's scope, given all of its parameters for its provenance, and set its style.
+
+    ``datasets`` and ``methods`` are lists of names or one text with commas, ``dataset`` and ``method`` one name; ``None``
+    takes all of the profile. A page with ``dataset`` or ``method`` then calls :meth:`Page.choose`.
+
+    Raises
+    ------
+    ParameterError
+        If a value is not allowed, or papermill set a name that is none of the parameters.
     """
     use_style()
-    manifest = manifests.load().for_profile(profile)
+    display(page_style())
+    manifest = manifests.load()
     # A notebook that a command runs starts in another folder than the command; one that is opened by hand, in any.
     manifest = replace(manifest, relative_to=Path(os.environ.get(TYPED_IN, manifest.path.parent)))
+    parameters = settled(parameters)
+    known = {"profile": profile} | parameters
+    if found := [*unknown(injected(), known), *faults(known, manifest)]:
+        raise ParameterError("\n".join(found))
+    manifest = manifest.for_profile(profile)
     entry = manifest.profile(profile)
-
-    def named(several: str, one: str, default: list[str]) -> tuple[str, ...]:
-        if parameters.get(one) is not None:
-            return (parameters[one],)
-        return tuple(default if parameters.get(several) is None else parameters[several])
-
-    datasets, methods = named("datasets", "dataset", entry.datasets), named("methods", "method", entry.methods)
-    for name in datasets:
-        manifest.dataset(name)
-    for name in methods:
-        manifest.method(name)
+    datasets, methods = named(parameters, "dataset", entry.datasets), named(parameters, "method", entry.methods)
     return Page(manifest, profile, datasets, methods, parameters)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import io
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Sequence
 from importlib.resources import as_file, files
 from typing import Any
 
@@ -16,8 +17,11 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from matplotlib.text import Text
+from numpy.typing import ArrayLike
 
-from artifact.pages.common import markup
+from artifact.pages.common import Titles, join, markup
 
 _DEEP_IN_THE_EARTH_M = 6e6  # no plane coordinates with a height are so far from their origin
 
@@ -27,16 +31,28 @@ DATABASE_COLOUR = "#ffa500"
 FITTING_COLOUR = "#808080"
 RIGHT_COLOUR, WRONG_COLOUR = "#2e8b57", "#d1495b"
 SUPPRESSION_COLOURS = {"INLP": "#1f77b4", "LEACE": "#d62728", "STD": "#2ca02c"}
+SUPPRESSION_MARKERS = {"INLP": "o", "LEACE": "s", "STD": "^"}
 
+REPORTED_LINE = {"linestyle": (0, (4, 2)), "alpha": 0.55, "linewidth": 2.6}
+"""What the paper reports, dashed and without markers."""
 
-@dataclass(frozen=True)
-class MethodStyle:
-    """Colour, marker and whether the marker is filled (methods of the paper) or open (baselines)."""
+_CLEAR = (0, 0, 0, 0.001)  # not to be seen, but found by a pointer: Matplotlib leaves out what is fully clear
 
-    colour: str
-    marker: str
-    filled: bool = True
-
+# What Matplotlib writes, and what a page takes: light and dark pages have their own black, white and blue.
+_IN_A_PAGE = (
+    (r"^.*?(?=<svg )|<metadata>.*?</metadata>|<style[^>]*>.*?</style>| transform=\"rotate\(-0 [^\"]*\"", ""),
+    (r'<a xlink:href="([^"]*?)(?:\s*⧉([\d ]+))?"[^>]*>', r'<g class="value" data-tiles="\2"><title>\1</title>'),
+    (r' data-tiles=""', ""),
+    (r"</a>", "</g>"),
+    (r'<g id="[^"]*"', "<g"),
+    (r"#000000", "currentColor"),
+    (r"#ffffff", "var(--pst-color-background, #fff)"),
+    (r"#0000ff", "var(--distractor, #0000ff)"),
+    (r"#e0e0e0", "var(--grid, #e0e0e0)"),
+    (r"'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif"),
+    (r"\s*\n\s*", " "),
+    (r"(\d\.\d\d)\d{3,4}\b", r"\1"),
+)
 
 # Colours and markers of the paper's Figs. 5 to 7.
 _PAPER = {
@@ -56,34 +72,34 @@ _BASELINES = {"thumbnail": ("#c1666b", "v"), "hog": ("#d4a017", "h"), "efficient
 _OTHERS = [("#6a4c93", "X"), ("#3a7d44", "<"), ("#9c6644", ">"), ("#5c677d", "d")]
 
 
-def method_style(method: str, others: Sequence[str] = ()) -> MethodStyle:
-    """Return the style of a method; methods from outside take the free styles in the order of ``others``.
+def marker_options(method: str, methods: Iterable[str] = ()) -> dict[str, Any]:
+    """Return Matplotlib line options of a method's colour and marker, filled for those of the paper, open for others.
+
+    Methods from outside take the free styles in the order of ``methods``.
 
     Examples
     --------
-    >>> method_style("anyloc").colour, method_style("hog").filled
-    ('#1f77b4', False)
+    >>> marker_options("anyloc")["color"], marker_options("hog")["markerfacecolor"]
+    ('#1f77b4', 'white')
     """
-    if method in _PAPER:
-        return MethodStyle(*_PAPER[method])
-    if method in _BASELINES:
-        return MethodStyle(*_BASELINES[method], filled=False)
-    outside = [name for name in others if name not in _PAPER and name not in _BASELINES]
+    known = _PAPER | _BASELINES
+    outside = [name for name in methods if name not in known]
     position = outside.index(method) if method in outside else 0
-    return MethodStyle(*_OTHERS[position % len(_OTHERS)], filled=False)
+    colour, marker = known.get(method, _OTHERS[position % len(_OTHERS)])
+    face = colour if method in _PAPER else "white"
+    return {"color": colour, "marker": marker, "markerfacecolor": face, "markeredgewidth": 1.3}
 
 
 def use_style() -> None:
-    """Set the book's figure style for this process: called once at the top of a notebook."""
+    """Set the book's figure style for this process."""
     with as_file(files("artifact.pages") / "book.mplstyle") as path:
         styles.use(path)
 
 
-def marker_options(method: str, methods: Sequence[str] = ()) -> dict[str, Any]:
-    """Return Matplotlib line options of a method's colour and marker."""
-    style = method_style(method, methods)
-    face = style.colour if style.filled else "white"
-    return {"color": style.colour, "marker": style.marker, "markerfacecolor": face, "markeredgewidth": 1.3}
+def page_style() -> HTML:
+    """Return the style of tables, verdicts and figures, which travels with every notebook and page."""
+    text = (files("artifact.pages") / "results.css").read_text(encoding="utf-8")
+    return HTML(f'<style class="artifact">{text}</style>')
 
 
 def legend_below(figure: Figure, handles: Sequence[Artist] | None = None, *, columns: int = 3) -> None:
@@ -93,23 +109,18 @@ def legend_below(figure: Figure, handles: Sequence[Artist] | None = None, *, col
     figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=columns)
 
 
-def method_legend(figure: Figure, titles: Mapping[str, str], *, reported: bool = False) -> None:
+def method_legend(figure: Figure, titles: Titles, *, lines: bool = True, reported: bool = False) -> None:
     """Draw one legend of all methods below a figure, with the dashed line of the paper's values if there is one."""
-    names = list(titles)
-    handles = [Line2D([], [], linestyle="none", label=titles[n], **marker_options(n, names)) for n in names]
+    line = {"linestyle": "-" if lines else "none"}
+    handles = [Line2D([], [], label=title, **line, **marker_options(name, titles)) for name, title in titles.items()]
     if reported:
-        handles.append(Line2D([], [], linestyle=(0, (4, 2)), color="0.3", alpha=0.55, linewidth=2.6, label="the paper"))
+        handles.append(Line2D([], [], color="0.3", label="the paper", **REPORTED_LINE))
     legend_below(figure, handles, columns=4)
 
 
-def colour_handle(colour: str, label: str) -> Line2D:
+def colour_handle(colour: str, label: str, marker: str = "s") -> Line2D:
     """Return the legend entry of a colour."""
-    return Line2D([], [], linestyle="none", marker="s", color=colour, label=label)
-
-
-def curve(axes: Axes, x: Sequence[float], y: Sequence[float], method: str, methods: Sequence[str]) -> None:
-    """Draw one method's curve."""
-    axes.plot(x, y, **marker_options(method, methods))
+    return Line2D([], [], linestyle="none", marker=marker, color=colour, label=label)
 
 
 def percent_axis(axes: Axes, label: str = "", *, axis: str = "y") -> None:
@@ -144,25 +155,87 @@ def show_image(axes: Axes, image: np.ndarray, frame: str | None = None) -> None:
     bare(axes, frame, 3)
 
 
-def embed(figure: Figure, description: str, *, form: str = "svg", width: int | None = None) -> HTML:
-    """Return a figure as an image inside the page.
+def tell_values(axes: Axes, points: ArrayLike, texts: Iterable[str], size: float = 70) -> None:
+    """Give points ``(n, 2)`` of a panel a text each, which the page shows on hover; points without coordinates have none.
+
+    A text may end in ``⧉`` and the numbers of images of :func:`artifact.pages.galleries.tiles` to show with it.
+    """
+    points, texts = np.asarray(points, float), np.asarray(list(texts), object)
+    known = np.isfinite(points).all(axis=1)
+    # One address more than points: Matplotlib drops the address of a collection that has but one.
+    axes.scatter(
+        *points[known].T, s=size, color=[_CLEAR], linewidths=0, zorder=20, clip_on=False, urls=[*texts[known], ""]
+    )
+
+
+def embed(
+    figure: Figure, description: str, *, form: str = "svg", width: int | None = None, below: HTML | str = ""
+) -> HTML:
+    """Return a figure as it stands in the page: a drawing panel by panel, so that a narrow page stacks them.
 
     Parameters
     ----------
-    figure
-        A Matplotlib figure.
     description
         Text alternative for readers who do not see it.
     form
         ``svg`` for drawings, ``jpeg`` for photographs.
     width
         Largest width on the page in pixels; ``None`` is the figure's own.
+    below
+        Printed under a drawing.
     """
-    stream = io.BytesIO()
-    # Without a fixed date equal figures would have different bytes.
-    options = {"metadata": {"Date": None}} if form == "svg" else {"dpi": 150, "pil_kwargs": {"quality": 85}}
-    figure.savefig(stream, format=form, **options)
-    kind = {"svg": "image/svg+xml", "jpeg": "image/jpeg"}[form]
     style = markup(' style="width:100%;max-width:{}px"', width) if width else ""
-    data = base64.b64encode(stream.getvalue()).decode()
-    return markup('<img class="figure"{} alt="{}" src="data:{};base64,{}">', style, description, kind, data)
+    if form == "jpeg":
+        stream = io.BytesIO()
+        figure.savefig(stream, format="jpeg", dpi=150, facecolor="white", pil_kwargs={"quality": 85})
+        data = base64.b64encode(stream.getvalue()).decode()
+        return markup('<img class="figure"{} alt="{}" src="data:image/jpeg;base64,{}">', style, description, data)
+    keys = [key for legend in figure.legends for key in zip(legend.legend_handles, legend.get_texts(), strict=True)]
+    for legend in figure.legends:
+        legend.set_visible(False)
+    drawn = [axes for axes in figure.axes if axes.axison or axes.has_data() or axes.patches]
+    return markup(
+        '<figure class="figure" role="group" aria-label="{}"{}><div class="panels">{}</div>{}{}</figure>',
+        *(description, style, join(_panel(figure, axes) for axes in drawn)),
+        markup('<ul class="keys">{}</ul>', join(_key(*key) for key in keys)) if keys else "",
+        below,
+    )
+
+
+def _panel(figure: Figure, shown: Axes) -> HTML:
+    """Draw one panel alone, cropped to what it shows."""
+    for axes in figure.axes:
+        axes.set_visible(axes is shown)
+    return _svg(figure)
+
+
+def _key(handle: Artist, words: Text) -> HTML:
+    """Draw one entry of a legend: line or patch, and its words."""
+    swatch = Figure(figsize=(0.34, 0.2))
+    mark = Line2D([0, 0.5, 1], [0.5] * 3) if isinstance(handle, Line2D) else Rectangle((0.2, 0.1), 0.6, 0.8)
+    mark.update_from(handle)
+    if isinstance(mark, Line2D):
+        mark.set(markevery=[1], solid_capstyle="butt")
+    mark.set_transform(swatch.transFigure)
+    swatch.add_artist(mark)
+    return markup("<li>{} {}</li>", _svg(swatch), words.get_text())
+
+
+def _svg(figure: Figure) -> HTML:
+    """Draw what is visible of a figure: text as text, black and white as the page has them, values as titles.
+
+    It stands in a notebook as an image, which no viewer of notebooks takes out; the book puts its content in the page.
+    """
+    stream = io.StringIO()
+    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    figure.savefig(stream, format="svg", transparent=True, metadata=nothing)
+    text = stream.getvalue()
+    for pattern, replacement in _IN_A_PAGE:
+        text = re.sub(pattern, replacement, text, flags=re.DOTALL)
+    width = float(re.search(r'viewBox="0 0 ([\d.]+)', text)[1]) / 72 * 96
+    prefix = f"f{hashlib.sha256(text.encode()).hexdigest()[:10]}-"  # identifiers are unique in a page
+    text = re.sub(r'(\bid="|xlink:href="#|url\(#)', rf"\g<1>{prefix}", text)
+    size = f"flex:1 1 {0.7 * width:.0f}px;max-width:{1.05 * width:.0f}px"
+    text = text.replace("<svg ", '<svg fill="currentColor" ', 1)
+    data = base64.b64encode(text.encode()).decode()
+    return markup('<img alt="" style="{}" src="data:image/svg+xml;base64,{}">', size, data)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import pandas as pd
@@ -10,13 +10,15 @@ from IPython.display import HTML
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from artifact.pages.common import change, claim, number, table
-from artifact.pages.style import SUPPRESSION_COLOURS, embed, legend_below
+from artifact.metrics.statistics import holm, p_values
+from artifact.pages.common import NO_LOSS_PP, Answer, Finding, Titles, change, claimed, join, markup, number, table
+from artifact.pages.style import SUPPRESSION_COLOURS, SUPPRESSION_MARKERS, embed, legend_below, tell_values
 from artifact.studies import reported
-from artifact.studies.suppression import improved
-
-NO_LOSS_PP = 1.1
-"""Largest fall of R@1 that the paper still calls preserved (§V-D), in percentage points."""
+from artifact.studies.common import Study
+from artifact.studies.fitted import LOW_RANK
+from artifact.studies.fitted import METHODS as SUPPRESSORS
+from artifact.studies.judging import CERTAIN, CLOSE_PP, Judged, above, all_above, first_of, more_often, mostly
+from artifact.studies.suppression import has_every_fraction, improved
 
 _QUANTITIES = {
     "change_probe": ("(a) Guardedness probe accuracy", "lower is better", "RdBu_r"),
@@ -49,19 +51,15 @@ def improved_table(frame: pd.DataFrame, *, k: int = 1) -> HTML:
     return table(rows, text=1, caption=caption)
 
 
-def suppression_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> HTML:
+def suppression_table(frame: pd.DataFrame, titles: Titles, *, k: int = 1) -> HTML:
     """Show R, DAR and probe accuracy of the original, and their changes, one line per dataset and method."""
-    suppressors = [name for name in frame["suppression"].unique() if name != "original"]
-    rows = []
+    suppressors, rows = _suppressors(frame), []
     for (_, method), part in frame.groupby(["dataset", "method"], sort=False):
         by_name = part.set_index("suppression")
         original = by_name.loc["original"]
-        row = {
-            "Dataset": original["title"],
-            "Method": titles[method],
-            "Fitted on": f"{original['fitted_queries']} + {original['fitted_database']}",
-            "Queries": original["queries"],
-        }
+        row = {"Dataset": original["title"], "Method": titles[method]}
+        row["Fitted on"] = f"{original['fitted_queries']} + {original['fitted_database']}"
+        row["Queries"] = original["queries"]
         for metric, heading in (("probe", "Probe"), ("DAR", f"DAR@{k}"), ("R", f"R@{k}")):
             row[f"{heading} %"] = number(original[metric])
             row |= {f"{heading} {name}": change(by_name.loc[name, f"change_{metric}"]) for name in suppressors}
@@ -70,81 +68,73 @@ def suppression_table(frame: pd.DataFrame, titles: Mapping[str, str], *, k: int 
         "Original descriptors in percent, changes in percentage points. Fitted on: queries + database images of the "
         "fitting region."
     )
-    unconverged = int(frame["probe_unconverged"].sum())
-    if unconverged:
+    if unconverged := int(frame["probe_unconverged"].sum()):
         caption += f" Of {len(frame)} probes, {unconverged} did not converge within scikit-learn's default of 1,000 iterations."
     return table(rows, text=2, caption=caption)
 
 
-def heat_maps(table: pd.DataFrame, titles: Mapping[str, str], *, k: int = 1) -> HTML:
-    """Fig. 8: change of probe accuracy, DAR@K and R@K per suppression method, dataset and method.
+def _suppressors(table: pd.DataFrame) -> list[str]:
+    return [name for name in table["suppression"].unique() if name != "original"]
 
-    Parameters
-    ----------
-    table
-        As from :func:`artifact.studies.suppression.suppression_table`.
-    titles
-        Method name to printed title.
-    k
-        K, for the headings.
-    """
+
+def heat_maps(table: pd.DataFrame, titles: Titles, *, k: int = 1) -> HTML:
+    """Fig. 8: change of probe accuracy, DAR@K and R@K per suppression method, dataset and method."""
     datasets = dict(zip(table["dataset"], table["title"], strict=True))
     titles = {method: titles[method] for method in table["method"].unique()}
-    suppressors = [name for name in table["suppression"].unique() if name != "original"]
+    suppressors = _suppressors(table)
     # The shorter axis runs across, so that the numbers stay legible.
     across, down = (titles, datasets) if len(titles) < len(datasets) else (datasets, titles)
     names = ("method", "dataset") if across is titles else ("dataset", "method")
-    size = (2.0 + 0.68 * len(across) * len(suppressors), 3 * (0.55 + 0.27 * len(down)) + 1.2)
-    figure = Figure(figsize=size)
-    axes = figure.subplots(3, len(suppressors), sharex=True, sharey=True, squeeze=False)
-    for row, (column, (name, better, colours)) in zip(axes, _QUANTITIES.items(), strict=True):
+    drawn = []
+    for column, (name, better, colours) in _QUANTITIES.items():
+        figure = Figure(figsize=(len(suppressors) * (1.4 + 0.6 * len(across)), 0.9 + 0.27 * len(down)))
         limit = max(10.0, float(np.nanmax(np.abs(table[column]))))
-        for panel, suppressor in zip(row, suppressors, strict=True):
+        for panel, suppressor in zip(figure.subplots(1, len(suppressors), squeeze=False)[0], suppressors, strict=True):
             part = table[table["suppression"] == suppressor].pivot(index=names[1], columns=names[0], values=column)
             _heat_map(panel, part.reindex(index=list(down), columns=list(across)).to_numpy(), limit, colours)
-            panel.set_title(suppressor, fontsize=9, pad=3, loc="left")
-        row[0].set_yticks(range(len(down)), list(down.values()))
-        heading = f"{name.replace('R@K', f'R@{k}')}, change in pp ({better})"
-        row[0].set_title(f"{heading}\n\n{suppressors[0]}", fontsize=9, pad=3, loc="left")
-    for panel in axes[-1]:
-        panel.set_xticks(range(len(across)), list(across.values()), rotation=40, ha="right")
-    figure.tight_layout(h_pad=0.8, w_pad=0.6)
-    text = f"Changes by suppression of {len(titles)} methods on {len(datasets)} datasets; the numbers are in the table"
-    return embed(figure, text)
+            panel.set_yticks(range(len(down)), list(down.values()))
+            panel.set_xticks(range(len(across)), list(across.values()), rotation=30, ha="right")
+            panel.set_title(suppressor, fontsize=9.5, pad=3, loc="left")
+        figure.tight_layout()
+        heading = f"{name.replace('R@K', f'R@{k}')}, change in pp: {better}"
+        scale = (
+            f"Colours run from red (worse) over white (0) to blue (better) at ±{limit:.0f} pp, on a square-root scale."
+        )
+        text = f"{heading}, by suppression of {len(titles)} methods on {len(datasets)} datasets; the table below has the numbers"
+        drawn += [markup('<p class="panel-title"><b>{}.</b> {}</p>', heading, scale), embed(figure, text)]
+    return join(drawn)
 
 
 def _heat_map(axes: Axes, values: np.ndarray, limit: float, colours: str) -> None:
     """One panel with its numbers; the scale is linear up to ``limit`` and symmetric around zero."""
     # A root makes changes of a few points visible beside one of tens of points.
     shown = np.sign(values) * np.sqrt(np.abs(values) / limit)
-    axes.imshow(shown, cmap=colours, vmin=-1.25, vmax=1.25, aspect="auto")
+    image = axes.imshow(shown, cmap=colours, vmin=-1.25, vmax=1.25, aspect="auto")
+    channels = image.to_rgba(shown)[..., :3]
+    luminance = np.where(channels <= 0.04, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4) @ (
+        0.2126,
+        0.7152,
+        0.0722,
+    )
+    inks = np.where(luminance > 0.18, "#101010", "#fefefe")  # contrast of at least 4.5 : 1 either way
     for (row, column), value in np.ndenumerate(values):
         if np.isfinite(value):
-            ink = "white" if abs(shown[row, column]) > 0.95 else "black"
-            axes.text(column, row, f"{value:+.1f}", ha="center", va="center", fontsize=7, color=ink)
+            axes.text(column, row, change(value), ha="center", va="center", fontsize=7.5, color=inks[row, column])
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
 
 
 def fraction_curves(means: pd.DataFrame, *, k: int = 1, source: str = "measured in this run") -> HTML:
-    """Fig. 10: mean change of DAR@K (a) and R@K (b) against the query fitting fraction.
-
-    Parameters
-    ----------
-    means
-        ``suppression``, ``fraction``, ``change_DAR``, ``change_R`` in percentage points.
-    k
-        K, for the headings.
-    source
-        Says where the values are from, for the text alternative.
-    """
+    """Fig. 10: mean change of DAR@K (a) and R@K (b) in percentage points against the query fitting fraction."""
     figure = Figure(figsize=(8.0, 3.2))
     panels = {"change_DAR": f"(a) ΔDAR@{k} (pp)", "change_R": f"(b) ΔR@{k} (pp)"}
     for axes, (column, title) in zip(figure.subplots(1, 2), panels.items(), strict=True):
         axes.axhline(0, linestyle="--", color="gray", linewidth=0.9)
         for name, rows in means.sort_values("fraction", kind="stable").groupby("suppression", sort=False):
-            dots = {"color": SUPPRESSION_COLOURS[name], "marker": "o", "markersize": 3.5}
+            dots = {"color": SUPPRESSION_COLOURS[name], "marker": SUPPRESSION_MARKERS[name], "markersize": 4.5}
             axes.plot(rows["fraction"], rows[column], label=name, **dots)
+            texts = (f"{name}: {change(value, digits=2)} pp" for value in rows[column])
+            tell_values(axes, rows[["fraction", column]], texts)
         axes.set(title=title, xlim=(-0.01, 0.51), xticks=np.arange(0, 0.51, 0.1), xlabel="Query fitting fraction")
         axes.grid(visible=True)
     figure.tight_layout(w_pad=1.4)
@@ -153,7 +143,7 @@ def fraction_curves(means: pd.DataFrame, *, k: int = 1, source: str = "measured 
 
 
 def reported_fraction_curves() -> HTML:
-    """Draw Fig. 10 from the values that the paper plots."""
+    """Draw Fig. 10 from the values that the paper plots, on its own axes."""
     wide = reported.table("fig10").pivot_table(
         index=["suppression", "fitting_fraction"], columns="metric", values="change_pp", sort=False
     )
@@ -161,79 +151,211 @@ def reported_fraction_curves() -> HTML:
     return fraction_curves(wide.reset_index().rename(columns=names), source="reported by the paper")
 
 
-@claim(
-    "fig08",
-    "After INLP and LEACE a linear classifier tells the conditions apart less well; STD helps less often.",
-    paper="probe accuracy falls for 50 (INLP), 52 (LEACE) and 27 (STD) of 54 method–dataset pairs",
-    rule="INLP and LEACE each help more than half of the pairs, and more than STD does",
-)
-def labels_less_accessible(table: pd.DataFrame) -> tuple[str, bool | None]:
-    """INLP and LEACE make conditions less accessible to a linear classifier than STD does (Fig. 8a)."""
-    counts = improved(table).set_index("suppression")
-    return f"probe accuracy falls for {_counted(counts, 'probe')}", _both_mostly(counts, "probe")
+def _by_suppressor(study: Study, column: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Values ``(pairs,)`` of a column, and their replicates if it has some, for each suppression method."""
+    table = study.table.reset_index(drop=True)
+    rows = {name: np.flatnonzero(table["suppression"] == name) for name in _suppressors(table)}
+    sample = study.replicates.get(column, np.empty((len(table), 0)))
+    return {name: (table[column].to_numpy()[of], sample[of]) for name, of in rows.items()}
 
 
-@claim(
-    "fig08",
-    "INLP and LEACE raise DAR@K for most method–dataset pairs, STD for fewer.",
-    paper="DAR@1 rises for 46 (INLP), 47 (LEACE) and 18 (STD) of 54 pairs; most: AnyLoc on RobotCar, +37 pp with INLP",
-    rule="INLP and LEACE each help more than half of the pairs, and more than STD does",
-)
-def suppression_raises_dar(table: pd.DataFrame, titles: Mapping[str, str], k: int = 1) -> tuple[str, bool | None]:
-    """INLP and LEACE raise DAR for most pairs, STD for fewer (Fig. 8b)."""
-    counts = improved(table).set_index("suppression")
+def _mostly(study: Study, column: str, helped: Callable[[np.ndarray], np.ndarray]) -> Judged:
+    """Judge whether INLP and LEACE each help more than half of the pairs."""
+    changes = _by_suppressor(study, column)
+    judged = {name: mostly(helped(changes[name][0])) for name in LOW_RANK}
+    return first_of(*(Judged(one.verdict, f"{name}: {one.why}") for name, one in judged.items()))
+
+
+def _fewer_with_std(study: Study, column: str, helped: Callable[[np.ndarray], np.ndarray]) -> Judged:
+    """Judge whether STD helps fewer pairs than INLP and than LEACE."""
+    found = {name: helped(values) for name, (values, _) in _by_suppressor(study, column).items()}
+    judged = {name: more_often(found[name], found["STD"]) for name in LOW_RANK}
+    return first_of(*(Judged(one.verdict, f"{name} against STD: {one.why}") for name, one in judged.items()))
+
+
+def _falls(changes: np.ndarray) -> np.ndarray:
+    return changes < -1e-9
+
+
+def _rises(changes: np.ndarray) -> np.ndarray:
+    return changes > 1e-9
+
+
+def _kept(changes: np.ndarray) -> np.ndarray:
+    return changes >= -NO_LOSS_PP - 1e-9
+
+
+def _beyond_chance(study: Study, column: str) -> str:
+    """How many pairs rise and fall beyond chance with each suppression method, in words."""
+    parts = []
+    for name, (values, sample) in _by_suppressor(study, column).items():
+        certain = holm(p_values(values, sample)) < CERTAIN
+        parts.append(f"{name} {(certain & (values > 0)).sum()} up, {(certain & (values < 0)).sum()} down")
+    return f"beyond chance (Holm over the pairs): {'; '.join(parts)}"
+
+
+@claimed
+def labels_less_accessible(study: Study) -> Answer:
+    """INLP and LEACE make conditions less accessible to a linear classifier (Fig. 8a)."""
+    counts = improved(study.table).set_index("suppression")
+    return f"probe accuracy falls for {_counted(counts, 'probe')}", _mostly(study, "change_probe", _falls)
+
+
+@claimed
+def std_helps_probe_less_often(study: Study) -> Answer:
+    """STD makes conditions less accessible less often (Fig. 8a)."""
+    counts = improved(study.table).set_index("suppression")
+    return f"probe accuracy falls for {_counted(counts, 'probe')}", _fewer_with_std(study, "change_probe", _falls)
+
+
+@claimed
+def suppression_raises_dar(study: Study, titles: Titles, k: int = 1) -> Answer:
+    """INLP and LEACE raise DAR for most pairs (Fig. 8b)."""
+    counts, table = improved(study.table).set_index("suppression"), study.table
     most = _extreme(table.loc[table["change_DAR"].idxmax()], "change_DAR", titles)
-    return f"DAR@{k} rises for {_counted(counts, 'DAR')}; most: {most}", _both_mostly(counts, "DAR")
+    found = f"DAR@{k} rises for {_counted(counts, 'DAR')}; {_beyond_chance(study, 'change_DAR')}; most: {most}"
+    return found, _mostly(study, "change_DAR", _rises)
 
 
-@claim(
-    "fig08",
-    "INLP and LEACE leave R@K without distractors intact.",
-    paper="R@1 falls by at most 1.1 pp, except for STD with AnyLoc on StLuciaMToD (8.2 pp)",
-    rule=f"no pair loses more than {NO_LOSS_PP:g} pp",
-)
-def suppression_keeps_recall(table: pd.DataFrame, titles: Mapping[str, str], k: int = 1) -> tuple[str, bool | None]:
-    """Suppression keeps R without distractors, except for STD (Fig. 8c)."""
-    changed = table[table["suppression"].isin(["INLP", "LEACE"])]
-    falls = changed[changed["change_R"] < -NO_LOSS_PP - 1e-9]
+@claimed
+def std_raises_dar_less_often(study: Study, k: int = 1) -> Answer:
+    """STD raises DAR for fewer pairs (Fig. 8b)."""
+    counts = improved(study.table).set_index("suppression")
+    return f"DAR@{k} rises for {_counted(counts, 'DAR')}", _fewer_with_std(study, "change_DAR", _rises)
+
+
+@claimed
+def suppression_keeps_recall(study: Study, titles: Titles, k: int = 1) -> Answer:
+    """INLP and LEACE keep R without distractors in most cases (Fig. 8c)."""
+    kept = {name: _kept(values) for name, (values, _) in _by_suppressor(study, "change_R").items() if name in LOW_RANK}
+    shares = " and ".join(f"{one.sum()} of {len(one)} pairs ({name})" for name, one in kept.items())
+    found = f"R@{k} falls by at most {NO_LOSS_PP:g} pp for {shares}; {_beyond_chance(study, 'change_R')}"
+    return found, _mostly(study, "change_R", _kept)
+
+
+@claimed
+def recall_falls_little(study: Study, titles: Titles, k: int = 1) -> Answer:
+    """R falls by little with INLP and LEACE for every pair (Fig. 8c)."""
+    changed = study.table[study.table["suppression"].isin(LOW_RANK)]
     worst = _extreme(changed.loc[changed["change_R"].idxmin()], "change_R", titles)
-    found = (
-        f"R@{k} falls by more than {NO_LOSS_PP:g} pp for {len(falls)} of {len(changed)} combinations of INLP or LEACE with a "
-        f"pair; largest change down: {worst}"
+    fewest = changed["queries"].min()
+    values, samples = zip(*(_by_suppressor(study, "change_R")[name] for name in LOW_RANK), strict=True)
+    judged = all_above(np.concatenate(values), np.concatenate(samples), -NO_LOSS_PP)
+    why = f"{judged.why}; a query is worth up to {100 / fewest:.2g} pp"
+    return f"largest change down: {worst}", Judged(judged.verdict, why)
+
+
+@claimed
+def railway_recall_rises(study: Study, titles: Titles, k: int = 1) -> Answer:
+    """R rises on Nordland in all cases (Fig. 8c)."""
+    table = study.table.reset_index(drop=True)
+    rows = np.flatnonzero(table["of_nordland"] & (table["suppression"] != "original"))
+    if not len(rows):
+        return "neither Nordland nor a dataset that mirrors it is here", Judged("cannot tell", "nothing was measured")
+    changes = table["change_R"].to_numpy()[rows]
+    parts = [
+        f"{titles[table['method'][row]]} {table['suppression'][row]} {change(table['change_R'][row])}" for row in rows
+    ]
+    found = f"R@{k} rises in {(changes > 0).sum()} of {len(rows)} cases on {table['title'][rows[0]]} (pp: {', '.join(parts)})"
+    return found, all_above(changes, study.replicates["change_R"][rows], 0)
+
+
+def _mean_changes(study: Study, column: str) -> dict[tuple[str, float], tuple[float, np.ndarray]]:
+    """Mean change over the pairs that have every fraction, and its replicates, by suppression method and fraction."""
+    table = study.table.reset_index(drop=True)
+    table = table[has_every_fraction(table)]
+    groups = table.groupby(["suppression", "fraction"], sort=False).groups
+    sample = study.replicates[column]
+    return {key: (table.loc[rows, column].mean(), sample[rows].mean(axis=0)) for key, rows in groups.items()}
+
+
+def _at_fraction(study: Study, column: str, fraction: float) -> dict[str, tuple[float, np.ndarray]]:
+    found = _mean_changes(study, column)
+    return {name: found[name, fraction] for name in SUPPRESSORS if (name, fraction) in found}
+
+
+def _left_out(fraction: float) -> Answer:
+    return f"the fraction {fraction:g} is not among the parameters", Judged("cannot tell", "nothing was measured")
+
+
+def _changes_in_words(changes: Mapping[str, tuple[float, np.ndarray]]) -> str:
+    return ", ".join(f"{name} {value:+.1f}" for name, (value, _) in changes.items())
+
+
+@claimed
+def a_twentieth_raises_dar(study: Study, k: int = 1) -> Answer:
+    """INLP and LEACE raise mean DAR with 5 % of the queries (Fig. 10a)."""
+    changes = _at_fraction(study, "change_DAR", 0.05)
+    if not changes:
+        return _left_out(0.05)
+    values, samples = zip(*(changes[name] for name in LOW_RANK), strict=True)
+    return f"at 5 %, mean ΔDAR@{k} is {_changes_in_words(changes)} pp", all_above(
+        np.array(values), np.stack(samples), 0
     )
-    return found, falls.empty
 
 
-@claim(
-    "fig10",
-    "Fitting on 10 % of the queries lowers the mean R@K of no suppression method; STD gains least DAR@K.",
-    paper="at 10 %, mean R@1 rises for all three; mean DAR@1 changes by +4.2 (INLP), +3.7 (LEACE) and −1.9 pp (STD)",
-    rule="at 10 % no mean ΔR@K is negative, and the mean ΔDAR@K of STD is the smallest",
-)
-def a_tenth_suffices(means: pd.DataFrame, k: int = 1) -> tuple[str, bool | None]:
-    """A tenth of the queries suffices to fit without losing mean R; STD needs more data (Fig. 10)."""
-    tenth = means[means["fraction"] == 0.1].set_index("suppression")
-    if tenth.empty:
-        return "the fraction 0.1 is not among the parameters", None
-    recall, dar = (
-        ", ".join(f"{name} {tenth.loc[name, column]:+.1f}" for name in ("INLP", "LEACE", "STD"))
-        for column in ("change_R", "change_DAR")
+@claimed
+def a_tenth_keeps_recall(study: Study, k: int = 1) -> Answer:
+    """A tenth of the queries suffices to fit without losing mean R (Fig. 10b)."""
+    changes = _at_fraction(study, "change_R", 0.1)
+    if not changes:
+        return _left_out(0.1)
+    values, samples = zip(*changes.values(), strict=True)
+    judged = all_above(np.array(values), np.stack(samples), -CLOSE_PP)
+    return f"at 10 %, mean ΔR@{k} is {_changes_in_words(changes)} pp", judged
+
+
+@claimed
+def std_needs_more_data(study: Study, k: int = 1) -> Answer:
+    """STD does not raise mean DAR with a tenth of the queries (Fig. 10a)."""
+    changes = _at_fraction(study, "change_DAR", 0.1)
+    if not changes:
+        return _left_out(0.1)
+    value, sample = changes["STD"]
+    judged = above(-value, -sample, 0)
+    return f"at 10 %, mean ΔDAR@{k} is {_changes_in_words(changes)} pp", Judged(
+        judged.verdict, f"loss with STD: {judged.why}"
     )
-    agrees = (tenth["change_R"] >= 0).all() and tenth.loc["STD", "change_DAR"] == tenth["change_DAR"].min()
-    return f"at 10 %, mean ΔR@{k} is {recall} pp and mean ΔDAR@{k} {dar} pp", bool(agrees)
 
 
-def _extreme(row: pd.Series, column: str, titles: Mapping[str, str]) -> str:
+@claimed
+def std_stays_below(study: Study, k: int = 1) -> Answer:
+    """STD stays below INLP and LEACE in mean DAR (Fig. 10a)."""
+    found = _mean_changes(study, "change_DAR")
+    fractions = sorted({fraction for _, fraction in found if fraction > 0})
+    pairs = [(found[name, f], found["STD", f]) for f in fractions for name in LOW_RANK]
+    if not pairs:
+        return "no fraction is among the parameters", Judged("cannot tell", "nothing was measured")
+    values = np.array([a[0] - b[0] for a, b in pairs])
+    judged = all_above(values, np.stack([a[1] - b[1] for a, b in pairs]), 0)
+    text = f"STD is below INLP and LEACE in {(values > 0).sum()} of {len(values)} comparisons at {len(fractions)} fractions"
+    return text, judged
+
+
+def of_changes(study: Study, titles: Titles, k: int = 1) -> list[Finding]:
+    """Return all findings on a :func:`artifact.studies.suppression.suppression_table` (Fig. 8)."""
+    return [
+        labels_less_accessible(study),
+        std_helps_probe_less_often(study),
+        suppression_raises_dar(study, titles, k),
+        std_raises_dar_less_often(study, k),
+        suppression_keeps_recall(study, titles, k),
+        recall_falls_little(study, titles, k),
+        railway_recall_rises(study, titles, k),
+    ]
+
+
+def of_fractions(study: Study, k: int = 1) -> list[Finding]:
+    """Return all findings on :func:`artifact.studies.suppression.fitting_fraction` (Fig. 10)."""
+    claims = a_twentieth_raises_dar, a_tenth_keeps_recall, std_needs_more_data, std_stays_below
+    return [claim(study, k) for claim in claims]
+
+
+def _extreme(row: pd.Series, column: str, titles: Titles) -> str:
     """A combination and its change, in words."""
-    return f"{titles[row['method']]} on {row['title']}, {row[column]:+.1f} pp with {row['suppression']}"
+    return f"{titles[row['method']]} on {row['title']}, {change(row[column])} pp with {row['suppression']}"
 
 
 def _counted(counts: pd.DataFrame, column: str) -> str:
     parts = [f"{counts.loc[name, column]} ({name})" for name in counts.index]
     return f"{', '.join(parts[:-1])} and {parts[-1]} of {counts['pairs'].iloc[0]} pairs"
-
-
-def _both_mostly(counts: pd.DataFrame, column: str) -> bool:
-    """INLP and LEACE help more than half of the pairs, and each more than STD."""
-    both = counts.loc[["INLP", "LEACE"], column]
-    return bool((both > counts["pairs"].iloc[0] / 2).all() and (both > counts.loc["STD", column]).all())

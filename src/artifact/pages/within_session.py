@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import pandas as pd
 from IPython.display import HTML
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from artifact.pages.common import change, listed, number, shown, table
-from artifact.pages.style import SUPPRESSION_COLOURS, embed, legend_below
+from artifact.pages.common import Titles, change, listed, number, shown, table
+from artifact.pages.style import SUPPRESSION_COLOURS, SUPPRESSION_MARKERS, embed, legend_below, tell_values
 
 _SHIFTS = {"original": -0.22, "LEACE": 0.0, "INLP": 0.22}
 _COLOURS = {"original": "black", **SUPPRESSION_COLOURS}
+_MARKERS = {"original": "D", **SUPPRESSION_MARKERS}
 
 
-def within_summary(rows: pd.DataFrame, titles: Mapping[str, str]) -> str:
+def within_summary(rows: pd.DataFrame, titles: Titles) -> str:
     """Say in words for how many pairs a statistic takes queries beyond the control, before and after suppression."""
     parts = []
     for view, part in rows.groupby("view", sort=False):
@@ -37,9 +36,9 @@ def within_summary(rows: pd.DataFrame, titles: Mapping[str, str]) -> str:
     )
 
 
-def within_table(frame: pd.DataFrame, titles: Mapping[str, str]) -> HTML:
+def within_table(frame: pd.DataFrame, titles: Titles) -> HTML:
     """Show every gap with its interval and control."""
-    bounds = zip(frame["gap_low"].map(change), frame["gap_high"].map(change), strict=True)
+    frame = frame.assign(interval="[" + frame["gap_low"].map(change) + ", " + frame["gap_high"].map(change) + "]")
     columns = {
         "Statistic": "statistic",
         "Dataset": "title",
@@ -53,35 +52,29 @@ def within_table(frame: pd.DataFrame, titles: Mapping[str, str]) -> HTML:
         "control, mean": ("control", change),
         "control, largest": ("control_high", change),
     }
-    return table(shown(frame.assign(interval=[f"[{low}, {high}]" for low, high in bounds]), columns), text=4)
+    return table(shown(frame, columns), text=4)
 
 
-def sided_gaps(table: pd.DataFrame, titles: Mapping[str, str]) -> HTML:
-    """Gap between distractors of the other and of the query's own side, per dataset, with its interval and control.
-
-    Parameters
-    ----------
-    table
-        Rows of one statistic, as from :func:`artifact.studies.within_session.within_session`.
-    titles
-        Method name to printed title.
-    """
+def sided_gaps(table: pd.DataFrame, titles: Titles) -> HTML:
+    """Gap between distractors of the other and of the query's own side by one statistic, with interval and control."""
     datasets = dict(zip(table["dataset"], table["title"], strict=True))
     figure = Figure(figsize=(2.75 * len(titles) + 1.7, 0.42 * len(datasets) + 1.5))
-    panels = figure.subplots(1, len(titles), sharey=True, sharex=True, squeeze=False)[0]
+    panels = figure.subplots(1, len(titles), squeeze=False)[0]
+    lowest, highest = table[["gap_low", "control"]].min().min(), table[["gap_high", "control"]].max().max()
+    room = 0.05 * (highest - lowest) + 0.1
+    limits = lowest - room, highest + room
     for axes, (method, title) in zip(panels, titles.items(), strict=True):
         axes.axvline(0, linestyle="--", color="gray", linewidth=0.9)
         of_method = table[table["method"] == method]
         for view in _SHIFTS:
             _draw_gaps(axes, of_method[of_method["view"] == view].set_index("dataset").loc[list(datasets)], view)
-        axes.set_title(title)
+        axes.set(title=title, xlim=limits, xlabel="gap (pp)")
+        axes.set_yticks(range(len(datasets)), list(datasets.values()))
+        axes.invert_yaxis()
         axes.grid(visible=True, axis="x")
-    panels[0].set_yticks(range(len(datasets)), list(datasets.values()))
-    panels[0].invert_yaxis()
-    figure.supxlabel("gap: R@1 with distractors of the other side − of the own side (pp)", fontsize=9)
     figure.tight_layout()
     legend_below(figure, columns=4)
-    text = "Gap between distractors of the other side and of the query's own side, per dataset and method"
+    text = "Gap: R@1 with distractors of the other side minus R@1 with those of the query's own side, per dataset and method"
     return embed(figure, text)
 
 
@@ -89,7 +82,8 @@ def _draw_gaps(axes: Axes, rows: pd.DataFrame, view: str) -> None:
     """Gaps of one method and view, a line per dataset; those of the original with their control."""
     y, colour = np.arange(len(rows)) + _SHIFTS[view], _COLOURS[view]
     axes.hlines(y, rows["gap_low"], rows["gap_high"], color=colour, linewidth=1.2)
-    axes.plot(rows["gap"], y, "o", color=colour, markersize=4, label=view)
+    axes.plot(rows["gap"], y, _MARKERS[view], color=colour, markersize=4, label=view)
+    tell_values(axes, np.column_stack([rows["gap"], y]), (f"{view}: gap {change(gap)} pp" for gap in rows["gap"]))
     if view == "original":
         bar = {"color": "0.45", "markersize": 9, "markeredgewidth": 2}
         axes.plot(rows["control"], y, "|", label="control (original)", **bar)

@@ -1,0 +1,65 @@
+"""The page on what ranking costs."""
+
+from __future__ import annotations
+
+import pandas as pd
+from IPython.display import HTML
+from matplotlib.figure import Figure
+
+from artifact.pages.common import number, shown, table, whole
+from artifact.pages.style import embed
+from artifact.studies.how_fast import symmetry_limit
+
+
+def costs_figure(times: pd.DataFrame) -> HTML:
+    """Draw what each work costs as a share of the bare product, with the limit that symmetry sets."""
+    first = times.iloc[0]
+    limit = symmetry_limit(first["queries"], first["database"])
+    figure = Figure(figsize=(6.5, 0.42 * len(times) + 0.9))
+    axes = figure.subplots()
+    colours = ["#999999" if pairs is None or pd.isna(pairs) else "#0072b2" for pairs in times["pairs"]]
+    bars = axes.barh(times["work"], times["share"], color=colours)
+    axes.bar_label(bars, [number(share, digits=2) for share in times["share"]], padding=3)
+    axes.axvline(limit, color="black", linewidth=0.8, linestyle="--")
+    axes.text(limit, -0.7, f"pairs left by symmetry: {limit:.2f}", ha="center", va="bottom", fontsize="small")
+    axes.invert_yaxis()
+    axes.set_xlabel("time, as a share of a bare float32 product over all pairs")
+    axes.margins(x=0.12)
+    shares = "; ".join(
+        f"{work}: {number(share, digits=2)}" for work, share in zip(times["work"], times["share"], strict=True)
+    )
+    return embed(figure, f"Bars: time as a share of the bare matrix product. {shares}.")
+
+
+def costs_table(times: pd.DataFrame) -> HTML:
+    """Show the seconds, and how many pairs were looked at again."""
+    columns = {
+        "Work": "work",
+        "Seconds": ("seconds", lambda value: number(value, digits=2)),
+        "Of the bare product": ("share", lambda value: number(value, digits=2)),
+        "Pairs, all views": ("pairs", whole),
+        "In float64": ("second", whole),
+        "In whole numbers": ("third", whole),
+    }
+    return table(shown(times, columns), text=1)
+
+
+def growth_figure(sizes: pd.DataFrame) -> HTML:
+    """Draw the time of :func:`artifact.studies.how_fast.growth` against the number of pairs."""
+    figure, millions = Figure(figsize=(3.8, 2.6)), sizes["pairs"] / 1e6
+    axes = figure.subplots()
+    axes.plot(millions, sizes["seconds"], marker="o", color="#0072b2")
+    axes.set(xlabel="millions of pairs", ylabel="seconds", xlim=(0, None), ylim=(0, None))
+    points = zip(millions, sizes["seconds"], strict=True)
+    drawn = "; ".join(f"{number(x, digits=1)} million pairs: {number(y, digits=2)} s" for x, y in points)
+    return embed(figure, f"Seconds against the number of pairs. {drawn}.")
+
+
+def costs_sentence(times: pd.DataFrame) -> str:
+    """Say on what the times were taken."""
+    first, used = times.iloc[0], times["product"].dropna()
+    return (
+        f"Made descriptors: {whole(first['queries'])} queries, {whole(first['database'])} database images of "
+        f"{whole(first['dimension'])} values; the distractors are the queries. Processor: {first['processor']}. First look "
+        f"by: {', '.join(dict.fromkeys(used))}."
+    )
