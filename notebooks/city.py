@@ -24,15 +24,16 @@
 # paper's claims hold in a place where the cause is known: only the rendering's condition changes.
 
 # %% tags=["parameters", "hide-input"]
-profile = "demo"
-datasets = None  # rendered datasets; None takes all of the profile
-places = 5  # places shown per pair
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
+datasets: list[str] = None  # rendered datasets; None takes all of the profile
+places: int = 5  # places shown per pair, from 1
 
 # %% tags=["hide-input"]
 from IPython.display import Markdown, display
 
 from artifact import pages
 from artifact.pages import galleries
+from artifact.pages.common import plain
 from artifact.pages.scope import open_page
 
 page = open_page(profile, datasets=datasets, places=places)
@@ -44,8 +45,8 @@ for name in page.datasets:
     entry = page.manifest.dataset(name)
     display(
         Markdown(
-            f"## {dataset.title}\n\nMirrors the protocol of {entry.mirrors}: {len(dataset.query)} queries "
-            f"(*{dataset.query_name}*), {len(dataset.database)} database images (*{dataset.database_name}*), "
+            f"## {plain(dataset.title)}\n\nMirrors the protocol of {plain(entry.mirrors)}: {len(dataset.query)} queries "
+            f"(*{plain(dataset.query_name)}*), {len(dataset.database)} database images (*{plain(dataset.database_name)}*), "
             f"threshold {entry.threshold}."
         )
     )

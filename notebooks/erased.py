@@ -17,25 +17,32 @@
 # INLP iteration, and which distractors stop winning? Fitted on 10 % of the queries around the centre, shown on the rest.
 
 # %% tags=["parameters", "hide-input"]
-profile = "demo"
-dataset = None  # None takes the first dataset of the profile whose images are real, else the first
-method = None  # None takes the last method of the profile that does not re-rank
-fraction = 0.1
-iterations = 35
-seed = 0
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
+dataset: str = None  # a name or a folder; None takes the first with real images, else the first
+method: str = None  # a name; None takes the last method of the profile that does not re-rank
+fraction: float = 0.1  # of the queries, for fitting: 0 to 1
+iterations: int = 35  # of INLP, from 1
+seed: int = 0  # of all random choices, from 0
 
 # %% tags=["hide-input"]
+import contextlib
+
 from IPython.display import Markdown, display
 
 from artifact import pages, studies
 from artifact.pages import galleries
-from artifact.pages.scope import open_page
+from artifact.pages.scope import NothingToShowError, open_page
 
-page = open_page(profile, dataset=dataset, method=method, fraction=fraction, iterations=iterations, seed=seed)
-page = page.choose(prefer="real", single_stage=True)
-erased = studies.erased.what_is_erased(
-    page.manifest, page.dataset, page.method, fraction=fraction, iterations=iterations, seed=seed
-)
+opened = open_page(profile, dataset=dataset, method=method, fraction=fraction, iterations=iterations, seed=seed)
+page = opened.choose(prefer="real", single_stage=True)
+fitting = {"fraction": fraction, "iterations": iterations, "seed": seed}
+erased = studies.erased.what_is_erased(page.manifest, page.dataset, page.method, **fitting)
+# Descriptors that come without images have no strips: then those of the first dataset that has images.
+strips = erased
+if not erased.described.dataset.query.has_images:
+    with contextlib.suppress(NothingToShowError):
+        pictured = opened.choose(images=True, single_stage=True).dataset
+        strips = studies.erased.what_is_erased(page.manifest, pictured, page.method, **fitting)
 
 # %% tags=["remove-input"]
 display(pages.common.label(page.label))
@@ -65,15 +72,15 @@ pages.erased.iterations(erased.iterations)
 # ## Distractors that stop winning
 
 # %% tags=["remove-input"]
-lost, recovered = erased.lost_and_recovered("LEACE")
+lost, recovered = strips.lost_and_recovered("LEACE")
 display(
     Markdown(
-        f"Distractors take {len(lost)} queries from the original descriptors; LEACE gives {len(recovered)} of them back. "
+        f"On {pages.common.plain(strips.described.dataset.title)}, distractors take {len(lost)} queries from the original descriptors; LEACE gives {len(recovered)} of them back. "
         f"Some of those, spread evenly:"
     )
 )
-galleries.recovered_strips(erased, "LEACE")
+galleries.recovered_strips(strips, "LEACE")
 
 # %% tags=["remove-input"]
 display(pages.common.download(erased.iterations, "erased_iterations"))
-pages.provenance.provenance(page, erased.described)
+pages.provenance.provenance(page, erased.described, strips.described)

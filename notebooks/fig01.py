@@ -18,13 +18,13 @@
 # run, with the cosine similarities that the method gave:
 
 # %% tags=["parameters", "hide-input"]
-profile = "demo"
-dataset = None  # None takes one of the profile whose images are at hand, in metres if there is one
-method = None  # None takes the last method of the profile
-seed = 0
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
+dataset: str = None  # a name or a folder; None takes one with images at hand, in metres if there is one
+method: str = None  # a name; None takes the last method of the profile
+seed: int = 0  # of all random choices, from 0
 
 # %% tags=["hide-input"]
-from IPython.display import Markdown, display
+from IPython.display import display
 
 from artifact import pages
 from artifact.pages import galleries
@@ -42,10 +42,13 @@ display(pages.common.label(page.label))
 galleries.distractor_story(measured)
 
 # %% tags=["remove-input"]
-Markdown(
-    f"It is not an exception: distractors take {taken} of the {int(result.hits(1, distractors=False).sum())} queries that "
-    f"{page.method_titles[page.method]} places rightly on {measured.dataset.title}. The query shown is the one with the median "
+right = f"queries that {page.method_titles[page.method]} places rightly on {measured.dataset.title}"
+number = int(result.hits(1, distractors=False).sum())
+pages.common.paragraph(
+    f"It is not an exception: distractors take {taken} of the {number} {right}. The query shown is the one with the median "
     f"margin. More of them, spread evenly over the traversal:"
+    if taken
+    else f"Distractors take none of the {number} {right}; the queries shown are spread evenly over the traversal."
 )
 
 # %% tags=["remove-input"]

@@ -15,15 +15,15 @@
 #
 # UMAP {cite:p}`mcinnes2018umap` lays descriptors out in the plane. Gray lines join a query and a database image that are
 # each other's nearest neighbour *on the ground*. If condition dominates, the two conditions form separate clouds and the lines
-# are long; if place dominates, the clouds overlap and the lines are short. A picture, not a measure: UMAP bends distances.
+# are long; if place dominates, the clouds overlap and the lines are short. UMAP bends distances: what is measured are neighbours.
 
 # %% tags=["parameters", "hide-input"]
-profile = "demo"
-dataset = None  # None takes one of the profile, with a threshold in metres if there is one
-method = None  # None takes the last method of the profile that does not re-rank
-fraction = 0.1  # of the queries, for fitting; the rest is shown
-iterations = 35
-seed = 0
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
+dataset: str = None  # a name or a folder; None takes one of the profile, with a threshold in metres if there is one
+method: str = None  # a name; None takes the last method of the profile that does not re-rank
+fraction: float = 0.1  # of the queries, for fitting, 0 to 1; the rest is shown
+iterations: int = 35  # of INLP, from 1
+seed: int = 0  # of all random choices, from 0
 
 # %% tags=["hide-input"]
 from IPython.display import Markdown, display
@@ -38,6 +38,11 @@ one = studies.embedding.embedding(
 )
 
 # %% tags=["remove-input", "full-width"]
+display(
+    pages.common.findings(
+        pages.embedding.suppression_mixes_conditions(one, seed), pages.embedding.suppression_aligns_places(one, seed)
+    )
+)
 display(pages.common.label(page.label))
 pages.embedding.embedding(one, page.conditions, page.method_titles[page.method])
 

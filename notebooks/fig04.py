@@ -22,10 +22,15 @@
 # This page has no parameters.
 
 # %% tags=["hide-input"]
+from IPython.display import display
+
 from artifact import pages
-from artifact.pages.style import use_style
+from artifact.pages.style import page_style, use_style
 
 use_style()
+display(page_style())
+
+# %% tags=["remove-input"]
 pages.diagram.retrieval_diagram()
 
 # %% [markdown]
@@ -35,9 +40,11 @@ pages.diagram.retrieval_diagram()
 # threshold $d_\mathrm{thr}$:
 #
 # $$
-# \mathcal P_i = \{c_j \in \mathcal C : \lVert y_i - y_j^{\mathcal C}\rVert_2 \le d_\mathrm{thr}\}, \qquad
-# \mathcal N_i = \{d_l \in \mathcal D : \lVert y_i - y_l^{\mathcal D}\rVert_2 > d_\mathrm{thr}\}, \qquad
-# \mathcal A_i = \mathcal C \cup \mathcal N_i .
+# \begin{aligned}
+# \mathcal P_i &= \{c_j \in \mathcal C : \lVert y_i - y_j^{\mathcal C}\rVert_2 \le d_\mathrm{thr}\}, \\
+# \mathcal N_i &= \{d_l \in \mathcal D : \lVert y_i - y_l^{\mathcal D}\rVert_2 > d_\mathrm{thr}\}, \\
+# \mathcal A_i &= \mathcal C \cup \mathcal N_i .
+# \end{aligned}
 # $$
 #
 # R@K is the share of queries with an image of $\mathcal P_i$ among the top K of $\mathcal C$, DAR@K the share with one

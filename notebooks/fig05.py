@@ -17,11 +17,11 @@
 # the methods shown.
 
 # %% tags=["parameters", "hide-input"]
-profile = "demo"
-datasets = None  # names from the manifest or folders; None takes all of the profile
-methods = None  # names from the manifest; None takes all of the profile
-k = 1
-seed = 0
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
+datasets: list[str] = None  # names or folders, one or several with commas; None takes all of the profile
+methods: list[str] = None  # names, one or several with commas; None takes all of the profile
+k: int = 1  # K of R@K and DAR@K, from 1
+seed: int = 0  # of all random choices, from 0
 
 # %% tags=["hide-input"]
 from IPython.display import display
@@ -33,7 +33,7 @@ page = open_page(profile, datasets=datasets, methods=methods, k=k, seed=seed)
 study = studies.recall.recall_table(page.manifest, page.datasets, page.methods, k=k, seed=seed)
 
 # %% tags=["remove-input"]
-display(pages.common.findings(pages.recall.similar_recall_hides_differences(study.table, page.method_titles, k)))
+display(pages.common.findings(pages.recall.similar_recall_hides_differences(study, page.method_titles, k)))
 display(pages.common.label(page.label))
 pages.recall.scatter(study.table, page.method_titles, k=k)
 
@@ -47,4 +47,5 @@ pages.recall.reported_scatter()
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "fig05_scatter"))
+display(pages.common.download(studies.reported.table("fig05"), "fig05_reported", "what the paper reports"))
 pages.provenance.provenance(page, study)

@@ -14,14 +14,15 @@
 # # Fig. 7: the condition of the distractors
 #
 # DAR with distractors from traversals of different conditions, the same number from each. The first set is the query
-# set itself (the setting of Table III); *none* is recall.
+# set itself (the setting of Table III); *none* is recall. Where a traversal has more images than the smallest, the value is
+# the expectation over all choices of so many.
 
 # %% tags=["parameters", "hide-input"]
-profile = "demo"
-dataset = None  # None takes the first dataset of the profile with distractor traversals
-methods = None  # names from the manifest; None takes all of the profile
-k = 1
-seed = 0
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
+dataset: str = None  # a name or a folder; None takes the first dataset of the profile with distractor traversals
+methods: list[str] = None  # names, one or several with commas; None takes all of the profile
+k: int = 1  # K of R@K and DAR@K, from 1
+seed: int = 0  # of all random choices, from 0
 
 # %% tags=["hide-input"]
 from IPython.display import display
@@ -36,8 +37,9 @@ study = studies.distractors.distractor_condition(page.manifest, page.dataset, pa
 # %% tags=["remove-input"]
 display(
     pages.common.findings(
-        pages.distractors.own_condition_hurts_most(study.table, page.method_titles, page.conditions, k),
-        pages.distractors.database_condition_hurts_little(study.table, page.conditions, k),
+        pages.distractors.own_condition_hurts_most(study, page.method_titles, page.conditions, k),
+        pages.distractors.conditions_between_hurt_less(study, page.conditions, k),
+        pages.distractors.database_condition_hurts_little(study, page.conditions, k),
     )
 )
 display(pages.common.label(page.label))
@@ -65,4 +67,5 @@ pages.verdicts.verdicts_table(
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "fig07_condition"))
+display(pages.common.download(studies.reported.table("fig07"), "fig07_reported", "what the paper reports"))
 pages.provenance.provenance(page, study)

@@ -17,13 +17,13 @@
 # map. At fraction 0 nothing is suppressed. Means over all pairs that have every fraction.
 
 # %% tags=["parameters", "hide-input"]
-profile = "demo"
-datasets = None  # names from the manifest or folders; None takes all of the profile
-methods = None  # names from the manifest; None takes all of the profile
-fractions = [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5]
-iterations = 35
-k = 1
-seed = 0
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
+datasets: list[str] = None  # names or folders, one or several with commas; None takes all of the profile
+methods: list[str] = None  # names, one or several with commas; None takes all of the profile
+fractions: list[float] = [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5]  # for fitting, each 0 to 1
+iterations: int = 35  # of INLP, from 1
+k: int = 1  # K of R@K and DAR@K, from 1
+seed: int = 0  # of all random choices, from 0
 
 # %% tags=["hide-input"]
 from IPython.display import Markdown, display
@@ -41,7 +41,7 @@ study = studies.suppression.fitting_fraction(
 means = studies.suppression.mean_by_fraction(study.table)
 
 # %% tags=["remove-input"]
-display(pages.common.findings(pages.suppression.a_tenth_suffices(means, k)))
+display(pages.common.findings(*pages.suppression.of_fractions(study, k)))
 display(pages.common.label(page.label))
 display(pages.suppression.fraction_curves(means, k=k))
 Markdown(f"Mean over {means['pairs'].min()} method–dataset pairs.")
@@ -49,7 +49,8 @@ Markdown(f"Mean over {means['pairs'].min()} method–dataset pairs.")
 # %% [markdown]
 # ## The paper's Fig. 10
 #
-# Drawn from the values that the paper plots, means over 54 pairs, not from this run.
+# Drawn from the values that the paper plots, means over 54 pairs, not from this run. The vertical axes are those of these values,
+# not of the figure above.
 
 # %% tags=["remove-input"]
 pages.suppression.reported_fraction_curves()
@@ -66,4 +67,5 @@ pages.verdicts.verdicts_table(*compared, titles=page.method_titles)
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "fig10_fitting_fraction"))
+display(pages.common.download(studies.reported.table("fig10"), "fig10_reported", "what the paper reports"))
 pages.provenance.provenance(page, study)

@@ -17,9 +17,9 @@
 # cell asserts that these are the numbers of [Table III](tab03.ipynb) and [Fig. 8](fig08.ipynb).
 
 # %% tags=["parameters"]
-profile = "demo"
-dataset = None  # None takes the first of the profile with real images, else the first
-method = None  # None takes the last of the profile that does not re-rank
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
+dataset: str = None  # a name or a folder; None takes the first of the profile with real images, else the first
+method: str = None  # a name; None takes the last of the profile that does not re-rank
 
 # %% [markdown]
 # ## Descriptors and positions
@@ -28,6 +28,7 @@ method = None  # None takes the last of the profile that does not re-rank
 
 # %%
 import numpy as np
+from IPython.display import display
 
 import artifact
 from artifact import pages, studies
@@ -35,7 +36,7 @@ from artifact.extraction.described import describe
 from artifact.pages.scope import open_page
 
 page = open_page(profile, dataset=dataset, method=method)
-page = page.choose(prefer="real", single_stage=True)
+page = page.choose(prefer="real", single_stage=True, descriptors=True)
 described = describe(page.manifest, page.dataset, page.method)
 data, threshold = described.dataset, described.dataset.threshold
 queries, database = described.query.values, described.database.values
@@ -121,4 +122,6 @@ rows = [
     for name, shown, value, same in zip(names, source, here, book, strict=True)
 ]
 shown = pages.common.table(rows, text=2, caption="Shares in percent, changes in percentage points.")
-pages.common.join([pages.common.label(page.label), shown, pages.provenance.provenance(page, described)])
+display(pages.common.label(page.label))
+display(shown)
+pages.provenance.provenance(page, described)

@@ -25,10 +25,10 @@
 # images. The tests assert the limits below on every run.
 
 # %% tags=["parameters", "hide-input"]
-profile = "demo"
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
 
 # %% tags=["hide-input"]
-from IPython.display import Markdown, display
+from IPython.display import display
 
 from artifact import pages, studies
 from artifact.pages.scope import open_page
@@ -50,7 +50,7 @@ pages.catalogue.parity_table(parity)
 pages.catalogue.catalogue_table(catalogue)
 
 # %% tags=["remove-input"]
-Markdown(pages.catalogue.how_to_get(catalogue))
+pages.catalogue.how_to_get(catalogue)
 
 # %% tags=["remove-input"]
 display(pages.common.download(parity, "methods_parity"))

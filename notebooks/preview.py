@@ -18,9 +18,9 @@
 # or the path of a folder; `python -m artifact data add` shows the same in the terminal.
 
 # %% tags=["parameters", "hide-input"]
-profile = "demo"
-dataset = None  # a name or a folder; None takes the first of the profile with real images, else the first
-places = 5  # places shown
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
+dataset: str = None  # a name or a folder; None takes the first of the profile with real images, else the first
+places: int = 5  # places shown, from 1
 
 # %% tags=["hide-input"]
 from artifact import pages, studies
@@ -29,16 +29,16 @@ from artifact.pages.scope import open_page
 
 page = open_page(profile, dataset=dataset, places=places)
 page = page.choose(prefer="real")
-loaded = page.load_all(page.dataset)
-traversals = studies.preview.traversals_table(page.manifest, page.dataset)
-facts = studies.preview.pair_facts(page.manifest, page.dataset)
-remarks = studies.preview.remarks(page.manifest, page.dataset)
+look = studies.preview.look_at(page.manifest, page.dataset)
+loaded = look.dataset
 
 # %% tags=["remove-input"]
-pages.common.join([pages.common.label(f"{loaded.title}, {loaded.shift}"), pages.preview.facts(facts, remarks)])
+pages.common.join(
+    [pages.common.label(f"{loaded.title}, {loaded.shift}"), pages.preview.facts(look.facts, look.remarks)]
+)
 
 # %% tags=["remove-input", "full-width"]
-pages.preview.traversals_table(traversals, loaded.unit)
+pages.preview.traversals_table(look.traversals, loaded.unit)
 
 # %% tags=["remove-input"]
 pages.preview.positions_figure(loaded)

@@ -17,11 +17,11 @@
 # everywhere in this book. Below, the open choices that are cheap to vary are varied.
 
 # %% tags=["parameters", "hide-input"]
-profile = "demo"
-datasets = None  # names from the manifest or folders; None takes all of the profile
-methods = None  # names from the manifest; None takes all of the profile
-k = 1
-seed = 0
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
+datasets: list[str] = None  # names or folders, one or several with commas; None takes all of the profile
+methods: list[str] = None  # names, one or several with commas; None takes all of the profile
+k: int = 1  # K of R@K and DAR@K, from 1
+seed: int = 0  # of all random choices, from 0
 
 # %% tags=["hide-input"]
 from IPython.display import display
@@ -31,6 +31,8 @@ from artifact.pages.scope import open_page
 from artifact.studies import protocol
 
 page = open_page(profile, datasets=datasets, methods=methods, k=k, seed=seed)
+
+# %% tags=["remove-input", "full-width"]
 pages.protocol.protocol_table(protocol.decisions())
 
 # %% [markdown]

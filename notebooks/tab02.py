@@ -17,9 +17,9 @@
 # no download and are not methods of the paper; they keep every page of this book real.
 
 # %% tags=["parameters", "hide-input"]
-profile = "demo"
-datasets = None  # datasets whose extraction times are shown; None takes all of the profile
-methods = None  # names from the manifest; None takes all of the profile
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
+datasets: list[str] = None  # datasets whose extraction times are shown; None takes all of the profile
+methods: list[str] = None  # names, one or several with commas; None takes all of the profile
 
 # %% tags=["hide-input"]
 from IPython.display import display
@@ -50,4 +50,5 @@ pages.catalogue.reported_methods_table(page.manifest, studies.catalogue.methods_
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "tab02_methods"))
+display(pages.common.download(studies.reported.table("tab02"), "tab02_reported", "what the paper reports"))
 pages.provenance.provenance(page, study)

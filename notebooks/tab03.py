@@ -13,15 +13,16 @@
 # %% [markdown]
 # # Table III: recall, with and without distractors
 #
-# Each method ranks every query against the cross-condition database (R@K) and against the same database plus the
-# query's distractors (DAR@K). RSR@K = DAR@K / R@K is the share of successes that survive.
+# Each method ranks every query against the cross-condition database (Recall@K, R@K) and against the same database plus the
+# query's distractors (Distractor-Augmented Recall, DAR@K). The Recall Survival Rate, RSR@K = DAR@K / R@K, is the share of
+# successes that survive {cite:p}`kim2026places`.
 
 # %% tags=["parameters", "hide-input"]
-profile = "demo"
-datasets = None  # names from the manifest or folders; None takes all of the profile
-methods = None  # names from the manifest; None takes all of the profile
-k = 1
-seed = 0
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
+datasets: list[str] = None  # names or folders, one or several with commas; None takes all of the profile
+methods: list[str] = None  # names, one or several with commas; None takes all of the profile
+k: int = 1  # K of R@K and DAR@K, from 1
+seed: int = 0  # of all random choices, from 0
 
 # %% tags=["hide-input"]
 from IPython.display import display
@@ -35,15 +36,16 @@ study = studies.recall.recall_table(page.manifest, page.datasets, page.methods, 
 # %% tags=["remove-input", "full-width"]
 display(
     pages.common.findings(
-        pages.recall.distractors_lower_recall(study.table, page.method_titles, k),
-        pages.recall.ranking_changes(study.table, page.method_titles, k),
+        pages.recall.distractors_lower_recall(study, page.method_titles, k),
+        pages.recall.ranking_changes(study, page.method_titles, k),
+        pages.recall.mean_ranking_changes(study, page.method_titles, k),
     )
 )
 pages.recall.recall_table(study.table, page.method_titles, k=k, label=page.label)
 
 # %% [markdown]
-# <span class="legend-mark best">best</span> <span class="legend-mark second">second</span>
-# <span class="legend-mark worst">worst</span> per column; superscripts rank the means (1 is best). All values in
+# <b class="legend-mark best">best</b> <u class="legend-mark second">second</u>
+# <i class="legend-mark worst">worst</i> per column; superscripts rank the means (1 is best). All values in
 # percent, higher is better. The mean is over all datasets shown.
 #
 # ## Measured beside reported
@@ -74,4 +76,7 @@ pages.verdicts.verdicts_table(studies.verdicts.of_recall(study.table), titles=pa
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "tab03_recall"))
+display(pages.common.download(studies.reported.table("tab03"), "tab03_reported", "what the paper reports"))
+queries = studies.per_query.per_query(page.manifest, page.datasets, page.methods, seed=seed)
+display(pages.common.download(queries.table, "tab03_queries", compressed=True))
 pages.provenance.provenance(page, study)

@@ -18,13 +18,13 @@
 # positive means that erasure lowers the result.
 
 # %% tags=["parameters", "hide-input"]
-profile = "demo"
-datasets = None  # names from the manifest or folders; None takes all of the profile
-methods = None  # names from the manifest; None takes all of the profile
-fraction = 0.1
-iterations = 35
-k = 1
-seed = 0
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
+datasets: list[str] = None  # names or folders, one or several with commas; None takes all of the profile
+methods: list[str] = None  # names, one or several with commas; None takes all of the profile
+fraction: float = 0.1  # of the queries, for fitting: 0 to 1
+iterations: int = 35  # of INLP, from 1
+k: int = 1  # K of R@K and DAR@K, from 1
+seed: int = 0  # of all random choices, from 0
 
 # %% tags=["hide-input"]
 from IPython.display import display
@@ -43,7 +43,11 @@ if study.table.empty:
 summary = studies.composition.summary(study.table, ["suppression", "pair"])
 
 # %% tags=["remove-input"]
-display(pages.common.findings(pages.composition.irrelevant_conditions_unharmed(summary)))
+display(
+    pages.common.findings(
+        pages.composition.inlp_leaves_others_unharmed(study), pages.composition.leace_leaves_others_unharmed(study)
+    )
+)
 display(pages.common.label(page.label))
 display(pages.composition.equivalence_table(summary, k=k))
 pages.composition.fitting_order(list(page.dataset_titles.values()), study.table)
@@ -73,4 +77,5 @@ pages.verdicts.verdicts_table(*compared, titles=page.method_titles)
 
 # %% tags=["remove-input"]
 display(pages.common.download(study.table, "tab05_irrelevant_conditions"))
+display(pages.common.download(studies.reported.table("tab05"), "tab05_reported", "what the paper reports"))
 pages.provenance.provenance(page, study)

@@ -27,13 +27,13 @@
 # queries and evaluated on the rest.
 
 # %% tags=["parameters", "hide-input"]
-profile = "demo"
-datasets = None  # names from the manifest or folders; None takes all of the profile
-methods = None  # names from the manifest; None takes all of the profile
-statistics = ["brightness", "contrast"]  # also: saturation, sharpness
-fraction = 0.25
-iterations = 35
-seed = 0
+profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
+datasets: list[str] = None  # names or folders, one or several with commas; None takes all of the profile
+methods: list[str] = None  # names, one or several with commas; None takes all of the profile
+statistics: list[str] = ["brightness", "contrast"]  # of: brightness, contrast, saturation, sharpness
+fraction: float = 0.25  # of the queries, for fitting: 0 to 1
+iterations: int = 35  # of INLP, from 1
+seed: int = 0  # of all random choices, from 0
 
 # %% tags=["hide-input"]
 from IPython.display import Markdown, display
@@ -59,7 +59,8 @@ study = studies.within_session.within_session(
 display(pages.common.label(page.label))
 for statistic in statistics:
     rows = study.table[study.table["statistic"] == statistic]
-    display(Markdown(f"## {statistic.capitalize()}\n\n{pages.within_session.within_summary(rows, page.method_titles)}"))
+    display(Markdown(f"## {statistic.capitalize()}"))
+    display(pages.common.paragraph(pages.within_session.within_summary(rows, page.method_titles)))
     display(pages.within_session.sided_gaps(rows, page.method_titles))
 
 # %% [markdown]

@@ -44,11 +44,12 @@ def finish(app, exception):
 
 
 def notice(app, pagename, templatename, context, doctree):
-    """Put the notice of a run whose numbers are no results above every page."""
+    """Put the notices of a run above every page: that its numbers are no results, or from a results bundle."""
     path = Path(app.srcdir) / "executed" / "notice.txt"
     if path.exists() and "body" in context:
-        text = html.escape(path.read_text(encoding="utf-8"))
-        context["body"] = f'<p class="notice" role="note">{text}</p>{context["body"]}'
+        lines = path.read_text(encoding="utf-8").splitlines()
+        notices = "".join(f'<p class="notice" role="note">{html.escape(line)}</p>' for line in lines)
+        context["body"] = notices + context["body"]
 
 
 def setup(app):

@@ -4,44 +4,39 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
+import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import yaml
 
 from artifact import store
 from artifact.manifest import Manifest
 
+_CONTENTS = Path("executed", ".toc.yml")
+_EXCEPTION = re.compile(r"\w*(Error|Exception|Interrupt|Exit)\b: ")  # the last line of a traceback
+
 
 class BookError(RuntimeError):
     """A book that cannot be built; the message holds what the strict build found."""
 
 
-@dataclass
-class Timer:
-    """Seconds that a block took."""
-
-    seconds: float = 0.0
-
-
-@contextlib.contextmanager
-def timed() -> Iterator[Timer]:
-    """Measure the wall time of a block."""
-    timer, begun = Timer(), time.monotonic()
-    try:
-        yield timer
-    finally:
-        timer.seconds = time.monotonic() - begun
-
-
 def source_folder(manifest: Manifest) -> Path:
-    """Return the folder of the book's sources."""
-    return manifest.path.parent / "book"
+    """Return the folder of the book's sources: a copy in the cache where the clone cannot be written."""
+    ours = manifest.path.parent / "book"
+    if os.access(ours, os.W_OK):
+        return ours
+    copy = manifest.cache / "book"
+    for name in _contents(ours):
+        target = copy / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(ours / name, target)
+    return copy
 
 
 def executed_folder(manifest: Manifest) -> Path:
@@ -49,20 +44,21 @@ def executed_folder(manifest: Manifest) -> Path:
     return source_folder(manifest) / "executed"
 
 
-def build(manifest: Manifest) -> tuple[Path, float | None]:
-    """Build the book strictly from the executed notebooks, running none.
+def alone(manifest: Manifest) -> contextlib.AbstractContextManager[None]:
+    """Hold the pages of this clone: another run that wants to write them waits, and says so."""
+    waiting = "another run is at work on the pages of this clone; waiting for it"
+    return store.lock(executed_folder(manifest) / "pages", waiting)
 
-    Returns
-    -------
-    path
-        The first page.
-    seconds
-        Build time, or ``None`` if the built book is of the same content already.
+
+def build(manifest: Manifest) -> tuple[Path, float | None]:
+    """Build the book strictly from the executed notebooks, running none; return its first page and the build time.
+
+    The time is ``None`` if the built book is of the same content already.
 
     Raises
     ------
     BookError
-        If a page of the table of contents is missing, or the strict build finds any fault.
+        If a page of the table of contents is missing or damaged, or the strict build finds any fault.
     """
     source = source_folder(manifest)
     pages = _pages(source)
@@ -70,39 +66,85 @@ def build(manifest: Manifest) -> tuple[Path, float | None]:
     if missing:
         raise BookError(
             f"{len(missing)} pages are missing, first {source / missing[0]}: run `make reproduce` (or `python -m "
-            f"artifact run`) first"
+            f"artifact reproduce`) first"
         )
+    with store.replacing(source / _CONTENTS) as temporary:
+        temporary.write_text(yaml.safe_dump(_with_own_runs(source, pages), sort_keys=False), encoding="utf-8")
+    for page in (source / "executed").glob("[!.]*"):
+        try:
+            if page.suffix != ".json":
+                store.check(page)
+        except store.DamagedError as error:
+            raise BookError(f"{error}; `make reproduce` puts it back") from None
     html = source / "_build" / "html"
     key = store.key(stage="book", files=_contents(source), sphinx=version("sphinx"), theme=version("sphinx-book-theme"))
-    stamp, index = html / ".artifact-key", html / "index.html"
-    if stamp.exists() and index.exists() and stamp.read_text() == key:
-        return index, None
-    stamp.unlink(missing_ok=True)
-    with timed() as timer:
-        _build_strictly(source)
-    stamp.write_text(key)
-    return index, timer.seconds
+    try:
+        if store.check(html, key):
+            return html / "index.html", None
+    except store.DamagedError as error:
+        store.say(f"{error}; the book is built again")
+    store.record_path(html).unlink(missing_ok=True)
+    begun = time.monotonic()
+    _build_strictly(source)
+    store.seal(html, {"key": key})
+    return html / "index.html", time.monotonic() - begun
+
+
+def tally(manifest: Manifest) -> str:
+    """Return the count of verdicts that the opening page shows; empty if it has none."""
+    page = executed_folder(manifest) / "opening.ipynb"
+    if not page.exists():
+        return ""
+    cells = store.read_json(page)["cells"]
+    shown = ["".join(one.get("data", {}).get("text/html", "")) for cell in cells for one in cell.get("outputs", [])]
+    found = re.search('<p class="tally">(.*?)</p>', "".join(shown))
+    return found.group(1) if found else ""
 
 
 def _build_strictly(source: Path) -> None:
     # --all: without it a second build of the same faulty book passes.
     program = str(Path(sys.executable).with_name("jupyter-book"))
-    command = [program, "build", str(source), "--all", "-W", "-n", "--keep-going", "-q"]
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONWARNINGS": "ignore"}
-    )
+    command = [
+        program,
+        "build",
+        str(source),
+        "--toc",
+        str(source / _CONTENTS),
+        "--all",
+        "-W",
+        "-n",
+        "--keep-going",
+        "-q",
+    ]
+    environment = {**os.environ, "PYTHONWARNINGS": "ignore"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     if done.returncode:
-        lines = [line for line in (done.stdout + done.stderr).splitlines() if "WARNING" in line or "ERROR" in line]
-        shown = "\n".join(lines) or (done.stdout + done.stderr)[-3000:]
+        output = (done.stdout + done.stderr).splitlines()
+        faults = [line for line in output if "WARNING" in line or "ERROR" in line]
+        ended = [line for line in output if _EXCEPTION.match(line)]
+        shown = "\n".join(ended[-1:] or faults or output[-30:])
         raise BookError(f"the strict build of {source} failed:\n{shown}")
+
+
+def _with_own_runs(source: Path, pages: list[str]) -> dict[str, Any]:
+    """Return the table of contents, with the pages that were made with other parameters as a part of their own."""
+    toc = yaml.safe_load((source / "_toc.yml").read_text(encoding="utf-8"))
+    beside = tuple(f"{Path(page).name}-" for page in pages)
+    own = [
+        {"file": f"executed/{path.stem}"}
+        for path in sorted((source / "executed").glob("*.ipynb"))
+        if path.stem.startswith(beside)
+    ]
+    if own and "parts" in toc:
+        toc["parts"].append({"caption": "Your runs", "chapters": own})
+    elif own:
+        toc["chapters"] += own
+    return toc
 
 
 def _pages(source: Path) -> list[str]:
     toc = yaml.safe_load((source / "_toc.yml").read_text(encoding="utf-8"))
-    pages = [toc["root"]]
-    for part in toc.get("parts", []):
-        pages += [chapter["file"] for chapter in part["chapters"]]
-    return pages
+    return [toc["root"], *(chapter["file"] for part in toc.get("parts", [toc]) for chapter in part.get("chapters", []))]
 
 
 def _page_file(source: Path, page: str) -> Path | None:
@@ -110,14 +152,7 @@ def _page_file(source: Path, page: str) -> Path | None:
 
 
 def _contents(source: Path) -> dict[str, str]:
-    files = sorted(
-        path
-        for path in source.rglob("*")
-        if path.is_file()
-        and "_build" not in path.relative_to(source).parts
-        and not any(part.startswith((".", "__pycache__")) for part in path.relative_to(source).parts)
-    )
-    return dict(zip((str(p.relative_to(source)) for p in files), store.digest_of_files(files), strict=True))
-
-
-# -- the record of a run ------------------------------------------------------------------------------------
+    passed_over = (".", "__pycache__")
+    names = [path.relative_to(source) for path in sorted(source.rglob("*")) if path.is_file()]
+    kept = [n for n in names if "_build" not in n.parts and not any(part.startswith(passed_over) for part in n.parts)]
+    return dict(zip(map(str, kept), store.digest_of_files([source / name for name in kept]), strict=True))

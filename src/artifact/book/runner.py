@@ -7,34 +7,43 @@ uses, and the versions that ran it. Equal key: the stored notebook is used. A fa
 from __future__ import annotations
 
 import contextlib
+import json
 import os
+import re
 import shutil
+import tempfile
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import jupytext
-import nbformat
 import papermill
+from nbclient.exceptions import DeadKernelError
 from papermill.exceptions import PapermillExecutionError
 from tqdm import tqdm
+from traitlets.config import Config
 
 from artifact import datasets, methods, store
-from artifact.book import parameters
+from artifact.book import finishing, parameters
 from artifact.extraction import extract, timing
+from artifact.extraction.extract import ValuesAbsentError
 from artifact.manifest import TYPED_IN, Manifest
 from artifact.manifest.entries import ManifestError
 from artifact.methods import weights
-from artifact.pages.scope import NothingToShowError
+from artifact.pages.scope import NothingToShowError, named
 from artifact.studies import reported
 from artifact.studies.common import single_stage
 
-_SOURCES = (".py", ".csv", ".json", ".npy", ".mplstyle")
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_AT_HOME = ("IPYTHONDIR", "JUPYTER_CONFIG_DIR", "JUPYTER_RUNTIME_DIR", "MPLCONFIGDIR")
+_FIRST, _LAST = ("fig10",), ("how_sure", "taken", "opening")
+_LONGEST_SOCKET_FOLDER = 80  # characters: the system allows about 100 for the path of a socket
+_SOURCES = (".py", ".csv", ".json", ".npy", ".mplstyle", ".css")
 _RUN_WITH = ("papermill", "ipykernel", "numpy", "torch", "scikit-learn", "pandas", "matplotlib")
 
 
@@ -44,19 +53,11 @@ class NotebookError(RuntimeError):
 
 @dataclass(frozen=True)
 class Task:
-    """A notebook with the parameters of one run.
+    """A notebook, a ``.py`` file, with the checked parameters of one run and what it uses, to be made ready before.
 
-    Attributes
-    ----------
-    path
-        The ``.py`` source.
-    parameters
-        Checked values of all its parameters.
-    datasets, methods
-        What it uses, so that it can be made ready before.
-    dataset_asked
-        Whether its one dataset was asked for by name and for this notebook alone: then one that does not suit is an error, else
-        the page says so.
+    ``dataset_asked`` says that its one dataset was asked for by name and for this notebook alone: then one that does
+    not suit is an error, else the page says so. ``changed`` are the parameters in which it differs from the profile's own
+    page; that one is its ``companion``, and ``missing`` says what that one needs and this machine lacks.
     """
 
     path: Path
@@ -64,11 +65,23 @@ class Task:
     datasets: tuple[str, ...]
     methods: tuple[str, ...]
     dataset_asked: bool = False
+    profile: str = "demo"
+    changed: Mapping[str, Any] = field(default_factory=dict)
+    companion: bool = False
+    missing: str | None = None
 
     @property
     def name(self) -> str:
         """File name without its ending, for example ``tab03``."""
         return self.path.stem
+
+    @property
+    def page(self) -> str:
+        """Name of the page: the notebook's own, or with changed parameters one that tells them from each other."""
+        if not self.changed:
+            return self.name
+        words = "-".join(re.findall(r"[A-Za-z0-9]+", json.dumps(self.changed)))[:40]
+        return f"{self.name}-{words}-{store.key(**self.changed)[:4]}"
 
 
 @dataclass(frozen=True)
@@ -79,7 +92,6 @@ class Outcome:
     key: str
     cached: bool
     seconds: float
-    parameters: dict[str, Any] = field(repr=False)
     error: str | None = None
     stored: Path | None = None
 
@@ -94,10 +106,12 @@ def plan(
 ) -> list[Task]:
     """Find the notebooks and check every parameter, before anything runs.
 
+    A notebook for which other parameters are asked makes two pages: that of the profile, and beside it the one asked for.
+
     Parameters
     ----------
-    manifest, profile
-        The profile sets ``profile`` and may set further parameters of each notebook.
+    profile
+        Sets ``profile`` and may set further parameters of each notebook.
     only
         Names of notebooks; default all.
     asked
@@ -114,8 +128,7 @@ def plan(
     found = {path.stem: path for path in sorted(folder.glob("*.py"))}
     asked = dict(asked or {})
     everywhere = dict(asked.pop("*", {}))
-    unknown = [name for name in (*only, *asked) if name not in found]
-    if unknown:
+    if unknown := [name for name in (*only, *asked) if name not in found]:
         raise parameters.ParameterError(f"no notebook {unknown[0]!r} in {folder}; allowed: {', '.join(found)}")
     entry = manifest.profile(profile)
     reported.require(manifest, profile)
@@ -127,17 +140,25 @@ def plan(
         defaults = parameters.read(path)
         here = {key: value for key, value in everywhere.items() if key in defaults}
         used |= set(here)
-        base = {"profile": profile} if "profile" in defaults else {}
-        wanted = {**base, **entry.parameters.get(name, {}), **here, **asked.get(name, {})}
-        values = parameters.merged(path, wanted, manifest)
-        names, methods_used = _scope(manifest, profile, values)
-        if "single_stage" in path.read_text(encoding="utf-8"):
-            methods_used = tuple(single_stage(manifest, methods_used))
-        own = "dataset" in asked.get(name, {}) or "dataset" in entry.parameters.get(name, {}).keys() - here.keys()
-        tasks.append(Task(path, values, names, methods_used, own))
+        own = {"profile": profile} if "profile" in defaults else {}
+        own |= entry.parameters.get(name, {})
+        values = parameters.merged(path, own, manifest)
+        tasks.append(_task(manifest, profile, path, values, "dataset" in entry.parameters.get(name, {})))
+        wanted = parameters.merged(path, {**own, **here, **asked.get(name, {})}, manifest)
+        if changed := {key: value for key, value in wanted.items() if value != values[key]}:
+            tasks[-1] = replace(tasks[-1], companion=True)
+            alone = "dataset" in asked.get(name, {}) or "dataset" in entry.parameters.get(name, {}).keys() - here.keys()
+            tasks.append(replace(_task(manifest, profile, path, wanted, alone), changed=changed))
     if unused := set(everywhere) - used:
         raise parameters.ParameterError(f"no notebook has a parameter {sorted(unused)[0]!r}")
     return tasks
+
+
+def _task(manifest: Manifest, profile: str, path: Path, values: dict[str, Any], dataset_asked: bool) -> Task:
+    names, used = _scope(manifest, profile, values)
+    if "single_stage" in path.read_text(encoding="utf-8"):
+        used = tuple(single_stage(manifest, used))
+    return Task(path, values, names, used, dataset_asked, profile)
 
 
 def _check_profile(manifest: Manifest, profile: str, notebooks: Mapping[str, Path]) -> None:
@@ -148,41 +169,59 @@ def _check_profile(manifest: Manifest, profile: str, notebooks: Mapping[str, Pat
         if page not in notebooks:
             raise ManifestError(f"{where}: no such notebook; allowed: {', '.join(notebooks)}")
         for several, one, allowed in (("datasets", "dataset", entry.datasets), ("methods", "method", entry.methods)):
-            named = [*(values.get(several) or []), *([values[one]] if values.get(one) else [])]
-            for name in named:
+            for name in [*(values.get(several) or []), *filter(None, [values.get(one)])]:
                 if name not in allowed:
-                    raise ManifestError(
-                        f"{where}: names {name!r}, which the profile lacks; it has {', '.join(allowed)}"
-                    )
+                    has = ", ".join(allowed)
+                    raise ManifestError(f"{where}: names {name!r}, which the profile lacks; it has {has}")
 
 
 def _scope(manifest: Manifest, profile: str, values: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Datasets and methods that a notebook uses, read off its parameters."""
     entry = manifest.profile(profile)
+    names = named(values, "dataset", entry.datasets) if {"dataset", "datasets"} & values.keys() else ()
+    return names, named(values, "method", entry.methods) if names and {"method", "methods"} & values.keys() else ()
 
-    def chosen(several: str, one: str, default: Sequence[str]) -> tuple[str, ...]:
-        if several in values:
-            return tuple(default if values[several] is None else values[several])
-        if one in values:
-            return tuple(default) if values[one] is None else (values[one],)
-        return ()
 
-    names = chosen("datasets", "dataset", entry.datasets)
-    return names, chosen("methods", "method", entry.methods) if names else ()
+def with_what_is_here(manifest: Manifest, tasks: Sequence[Task]) -> list[Task]:
+    """Return the tasks; a companion whose data or weights are not on this machine says so on its page instead of failing."""
+
+    def possible(task: Task) -> Task:
+        try:
+            check(manifest, [task])
+        except (datasets.DatasetError, weights.WeightsError, ManifestError) as error:
+            return replace(task, datasets=(), methods=(), missing=str(error))
+        return task
+
+    return [possible(task) if task.companion else task for task in tasks]
 
 
 def prepare(manifest: Manifest, tasks: Sequence[Task], *, device: str | None = None) -> None:
     """Render or find every dataset and extract every descriptor that the tasks use, with progress bars."""
+    for (_, method), traversals in check(manifest, tasks).items():
+        for traversal in traversals:
+            extract.descriptors(manifest, traversal, method, device=device, progress=True)
+
+
+def check(manifest: Manifest, tasks: Sequence[Task]) -> dict[tuple[str, str], list[datasets.Traversal]]:
+    """Render or find every dataset that the tasks use; return the traversals of each dataset and method.
+
+    Raises
+    ------
+    WeightsError
+        If weights are missing that something must still be extracted with.
+    StoreError
+        If the disk has no room for the local features and codes that are missing.
+    """
     pairs = dict.fromkeys((dataset, method) for task in tasks for dataset in task.datasets for method in task.methods)
-    loaded = {
-        name: load_all(manifest, name) for name in dict.fromkeys(name for task in tasks for name in task.datasets)
-    }
+    loaded = {name: load_all(manifest, name) for name in _datasets_of(tasks)}
     extracted = {m for d, m in pairs for t in loaded[d] if t.has_images and not extract.is_ready(manifest, t, m)}
     weights.require({method: manifest.method(method) for method in sorted(extracted)})
     extract.check_disk(manifest, (t for traversals in loaded.values() for t in traversals), sorted(extracted))
-    for dataset, method in pairs:
-        for traversal in loaded[dataset]:
-            extract.descriptors(manifest, traversal, method, device=device, progress=True)
+    return {(dataset, method): loaded[dataset] for dataset, method in pairs}
+
+
+def _datasets_of(tasks: Sequence[Task]) -> list[str]:
+    return list(dict.fromkeys(name for task in tasks for name in task.datasets))
 
 
 def load_all(manifest: Manifest, dataset: str) -> list[datasets.Traversal]:
@@ -206,52 +245,50 @@ def run(
 ) -> list[Outcome]:
     """Run the tasks that have no stored result, in parallel, and put all executed notebooks into ``output``.
 
-    If one fails, ``output`` keeps the pages of the last run that succeeded, and no page of this one.
-
-    Parameters
-    ----------
-    manifest, tasks
-        As from :func:`plan`, with everything prepared.
-    output
-        Folder that receives ``<name>.ipynb``.
-    jobs
-        Notebooks that run at once; default the number of cores, at most 8.
-    force
-        Run even where a stored result has the same key.
+    If one fails, ``output`` keeps the pages of the last run that succeeded, and no page of this one. Everything that
+    the tasks use must be prepared. ``jobs`` run at once, by default as many as there are cores, at most 8; with
+    ``force`` also those with a stored result.
 
     Raises
     ------
     NotebookError
         If any notebook fails, after all have ended.
     """
-    shared = _shared_inputs(manifest)
-    fingerprints = {name: _fingerprint(manifest, name) for name in dict.fromkeys(n for t in tasks for n in t.datasets)}
+    keys = _keys(manifest, tasks)
     jobs = jobs or min(8, os.cpu_count() or 1)
     with (
-        _environment_of_kernels(manifest),
+        environment_of_kernels(manifest, threads=max(1, (os.cpu_count() or 1) // jobs)),
         ThreadPoolExecutor(jobs) as pool,
         tqdm(total=len(tasks), unit="notebook", desc="notebooks", leave=False, disable=None) as bar,
     ):
 
         def one(task: Task) -> Outcome:
-            outcome = _run_one(manifest, task, _key(manifest, task, shared, fingerprints), force=force)
+            outcome = _run_one(manifest, task, keys[task.page], force=force)
             bar.update()
             return outcome
 
-        outcomes = list(pool.map(one, tasks))
-    failed = [outcome for outcome in outcomes if outcome.error]
-    if failed:
-        raise NotebookError("\n".join(outcome.error for outcome in failed if outcome.error))
+        turns = sorted(tasks, key=_turn)
+        found = dict(zip((task.page for task in turns), pool.map(one, turns), strict=True))
+    outcomes = [found[task.page] for task in tasks]
+    if errors := [outcome.error for outcome in outcomes if outcome.error]:
+        raise NotebookError("\n".join(errors))
     for outcome in outcomes:
-        with store.replacing(output / f"{outcome.name}.ipynb") as temporary:
+        page = output / f"{outcome.name}.ipynb"
+        with store.replacing(page) as temporary:
             shutil.copyfile(str(outcome.stored), temporary)
+        store.seal(page, {"key": outcome.key})
     return outcomes
 
 
+def _turn(task: Task) -> int:
+    """Start the longest page first, and last those that show what others compute, so that no kernel waits for another."""
+    return _LAST.index(task.name) + 1 if task.name in _LAST else -(task.name in _FIRST)
+
+
 @contextlib.contextmanager
-def _environment_of_kernels(manifest: Manifest) -> Iterator[None]:
-    """Set what the kernels inherit, and restore it."""
-    before = dict(os.environ)
+def environment_of_kernels(manifest: Manifest, threads: int | None = None) -> Iterator[None]:
+    """Set what the kernels inherit, and restore it; ``threads`` are those that each takes, unless the user says otherwise."""
+    before, log = dict(os.environ), manifest.cache / f"kernels-{os.getpid()}.log"
     # Methods from outside stand beside the manifest; a kernel starts in the folder of the notebooks.
     paths = [str(manifest.path.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
     os.environ |= {
@@ -260,38 +297,92 @@ def _environment_of_kernels(manifest: Manifest) -> Iterator[None]:
         "JUPYTER_PATH": "",
         "PYTHONPATH": os.pathsep.join(paths),
         TYPED_IN: str(manifest.relative_to),
+        store.LOG_VARIABLE: str(log),
+        # Kernels side by side whose threads wait for the same cores spend more than half of their time on waiting.
+        **{name: os.environ.get(name, str(threads)) for name in _THREADS if threads},
     }
+    if not os.access(Path.home(), os.W_OK):
+        os.environ |= dict.fromkeys(_AT_HOME, str(manifest.cache / "settings"))
+        os.environ.setdefault("NUMBA_CACHE_DIR", str(manifest.cache / "compiled"))
     try:
         yield
     finally:
         for name in os.environ.keys() - before.keys():
             del os.environ[name]
         os.environ |= before
+        if log.exists():
+            store.say(log.read_text(encoding="utf-8").rstrip())
+            log.unlink()
+
+
+def results_read(manifest: Manifest, tasks: Sequence[Task]) -> list[str]:
+    """Return the stored results that the pages of tasks read when they ran: files in the cache, relative to it.
+
+    Raises
+    ------
+    NotebookError
+        If a task has no executed notebook that is up to date.
+    """
+    found, missing = dict[str, None](), []
+    for name, key in _keys(manifest, tasks).items():
+        record = _stored_path(manifest, name, key).with_suffix(".json")
+        if record.exists():
+            found |= dict.fromkeys(store.read_json(record)["results"])
+        else:
+            missing.append(name)
+    if missing:
+        raise NotebookError(
+            f"{len(missing)} of {len(tasks)} notebooks have not run since something they depend on changed, first "
+            f"{missing[0]}: run `make reproduce` first"
+        )
+    return list(found)
+
+
+def _stored_path(manifest: Manifest, name: str, key: str) -> Path:
+    return manifest.cache / "notebooks" / f"{name}-{key[:24]}.ipynb"
 
 
 def _run_one(manifest: Manifest, task: Task, key: str, *, force: bool) -> Outcome:
-    stored = manifest.cache / "notebooks" / f"{task.name}-{key[:24]}.ipynb"
-    record = stored.with_suffix(".json")
-    with store.lock(stored):
-        cached = stored.exists() and record.exists() and not force
-        if not cached:
-            begun = time.monotonic()
-            try:
-                _execute(task, stored)
-            except PapermillExecutionError as fault:
-                if fault.ename == NothingToShowError.__name__ and not task.dataset_asked:
-                    _write_empty_page(task, stored, str(fault.evalue))
-                else:
-                    error = f"notebooks/{task.path.name}: cell {fault.cell_index + 1}: {fault.ename}: {fault.evalue}"
-                    return Outcome(task.name, key, False, time.monotonic() - begun, task.parameters, error)
-            store.write_json(record, {"key": key, "seconds": round(time.monotonic() - begun, 3)})
-        seconds = store.read_json(record)["seconds"]
-    return Outcome(task.name, key, cached, seconds, task.parameters, stored=stored)
+    stored = _stored_path(manifest, task.page, key)
+    begun = time.monotonic()
+    try:
+        with store.lock(stored):
+            record = None if force else store.find(stored, key)
+            cached = record is not None
+            if record is None:
+                results = _make(task, stored)
+                used = {"datasets": task.datasets, "methods": task.methods, "results": results}
+                record = store.seal(stored, {"key": key, "seconds": round(time.monotonic() - begun, 3), **used})
+        return Outcome(task.page, key, cached, record["seconds"], stored=stored)
+    except PapermillExecutionError as fault:
+        error = f"cell {fault.cell_index + 1}: {fault.ename}: {fault.evalue}"
+    except DeadKernelError:
+        error = (
+            "its process ended by itself, perhaps for lack of memory; run again, or fewer notebooks at once (--jobs 1)"
+        )
+    except (store.StoreError, OSError, RuntimeError) as fault:  # a disk or a kernel that does not serve
+        error = f"{type(fault).__name__}: {fault}"
+    return Outcome(task.page, key, False, time.monotonic() - begun, f"notebooks/{task.path.name}: {error}")
 
 
-def _execute(task: Task, stored: Path) -> None:
-    """Run one notebook into ``stored``; if it fails, nothing is stored."""
-    with store.replacing(stored) as temporary:
+def _make(task: Task, stored: Path) -> list[str]:
+    """Run a notebook, or where no dataset suits it, put a page in its place that says so; return the results that it read."""
+    if task.missing:
+        _write_empty_page(task, stored, task.missing)
+        return []
+    try:
+        return _execute(task, stored)
+    except PapermillExecutionError as fault:
+        absent = fault.ename == ValuesAbsentError.__name__
+        if not absent and (fault.ename != NothingToShowError.__name__ or task.dataset_asked):
+            raise
+        _write_empty_page(task, stored, str(fault.evalue))
+        return []
+
+
+def _execute(task: Task, stored: Path) -> list[str]:
+    """Run one notebook into ``stored`` and return the results that it read; if it fails, nothing is stored."""
+    with store.replacing(stored) as temporary, tempfile.TemporaryDirectory() as folder:
         source = temporary.with_suffix(".source.ipynb")
         try:
             jupytext.write(jupytext.read(task.path), source)
@@ -305,38 +396,32 @@ def _execute(task: Task, stored: Path) -> None:
                     progress_bar=False,
                     cwd=task.path.parent,
                     request_save_on_cell_execute=False,
+                    config=_sockets(folder),
                     extra_arguments=["--log-level=CRITICAL"],  # the kernel's own chatter; errors reach us as exceptions
                 )
-            _strip(temporary)
+            return finishing.finish(temporary, task.name, task.profile, task.changed)
         finally:
             source.unlink(missing_ok=True)
 
 
+def _sockets(folder: str) -> Config:
+    """Let a kernel talk over socket files: two that start at once can choose one network port, which ends one of them."""
+    if len(folder) > _LONGEST_SOCKET_FOLDER:
+        return Config()
+    return Config(KernelManager={"transport": "ipc", "ip": f"{folder}/kernel"})
+
+
 def _write_empty_page(task: Task, stored: Path, reason: str) -> None:
-    """Put a page that says why there is nothing to show in the place of a notebook that no dataset suits."""
-    cells = jupytext.read(task.path).cells
-    first = next(cell for cell in cells if cell.cell_type == "markdown")
-    note = nbformat.v4.new_markdown_cell(f":::{{admonition}} Nothing to show in this run\n{reason}\n:::")
-    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_markdown_cell(first.source), note])
     with store.replacing(stored) as temporary:
-        nbformat.write(notebook, temporary)
-    _strip(stored)
+        finishing.write_empty_page(task.path, temporary, reason)
+        finishing.finish(temporary, task.name, task.profile, task.changed)
 
 
-def _strip(path: Path) -> None:
-    """Take out what differs between equal runs (times, paths, identifiers), and hide papermill's own cell.
-
-    The values it injects stand in the page's provenance box.
-    """
-    notebook = nbformat.read(path, as_version=4)
-    notebook.metadata.pop("papermill", None)
-    for number, cell in enumerate(notebook.cells):
-        if "injected-parameters" in cell.metadata.get("tags", []):
-            cell.metadata["tags"] = [*cell.metadata["tags"], "remove-cell"]
-        cell.metadata.pop("papermill", None)
-        cell.metadata.pop("execution", None)
-        cell["id"] = f"cell-{number}"
-    nbformat.write(notebook, path)
+def _keys(manifest: Manifest, tasks: Sequence[Task]) -> dict[str, str]:
+    """Return the key of each task's executed notebook."""
+    shared = _shared_inputs(manifest)
+    fingerprints = {name: _fingerprint(manifest, name) for name in _datasets_of(tasks)}
+    return {task.page: _key(manifest, task, shared, fingerprints) for task in tasks}
 
 
 def _key(manifest: Manifest, task: Task, shared: Mapping[str, Any], fingerprints: Mapping[str, Any]) -> str:
@@ -347,6 +432,8 @@ def _key(manifest: Manifest, task: Task, shared: Mapping[str, Any], fingerprints
         parameters=task.parameters,
         # A page that says that nothing suits is not the answer to one that was asked for.
         **({"dataset_asked": True} if task.dataset_asked else {}),
+        changed=task.changed,
+        missing=task.missing,
         shared=shared,
         datasets={name: fingerprints[name] for name in task.datasets},
         methods={name: methods.fingerprint(name, manifest.method(name)) for name in task.methods},
@@ -368,8 +455,12 @@ def _shared_inputs(manifest: Manifest) -> dict[str, Any]:
 
 
 def _fingerprint(manifest: Manifest, dataset: str) -> list[Any]:
-    """Content of a dataset as a notebook sees it: images, positions, and whether images are at hand."""
+    """Content of a dataset as a notebook sees it: images, positions, and whether images and descriptors are at hand."""
     return [
-        [traversal.name, traversal.digest, traversal.positions, traversal.has_images]
-        for traversal in load_all(manifest, dataset)
+        [one.name, one.digest, one.positions, one.has_images, one.preparation, _recorded_only(manifest, one)]
+        for one in load_all(manifest, dataset)
     ]
+
+
+def _recorded_only(manifest: Manifest, traversal: datasets.Traversal) -> list[str]:
+    return [method for method in traversal.descriptors if not extract.is_at_hand(manifest, traversal, method)]

@@ -11,57 +11,48 @@ from typing import Any
 
 from artifact import datasets, pages, store
 from artifact.book.build import executed_folder, source_folder
-from artifact.book.runner import Outcome, Task
+from artifact.book.runner import Outcome, Task, load_all
+from artifact.datasets import imported
+from artifact.extraction import extract
 from artifact.manifest import Manifest
+from artifact.pages.common import plain
 from artifact.pages.scope import MADE
 
-_SHOWN_VERSIONS = (
-    "numpy",
-    "scipy",
-    "torch",
-    "scikit-learn",
-    "pandas",
-    "matplotlib",
-    "numba",
-    "pillow",
-    "papermill",
-    "jupytext",
-    "jupyter-book",
-    "sphinx",
-)
-
-
-_STATUS = "status.md"
+_COMPUTING = ("numpy", "scipy", "torch", "scikit-learn", "pandas", "matplotlib", "numba", "pillow")
+_PUBLISHING = ("papermill", "jupytext", "jupyter-book", "sphinx")
 
 
 def record_run(
-    manifest: Manifest, profile: str, tasks: Sequence[Task], outcomes: Sequence[Outcome], preparation: float
+    manifest: Manifest, profile: str, tasks: Sequence[Task], outcomes: Sequence[Outcome], stages: Sequence[str]
 ) -> None:
     """Write the status page: times, reuse, versions, machine and inputs of the run behind the book."""
-    used = {task.name: task for task in tasks}
+    used = {task.page: task for task in tasks}
+    notebooks = [
+        [
+            f"[{o.name}]({o.name}.ipynb)",
+            f"{o.seconds:.1f}",
+            "reused" if o.cached else "run",
+            len(used[o.name].datasets),
+            len(used[o.name].methods),
+            f"`{o.key[:12]}`",
+        ]
+        for o in outcomes
+    ]
+    machine = {
+        "Machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, {_memory()}",
+        "Python": platform.python_version(),
+        **{name: version(name) for name in (*_COMPUTING, *_PUBLISHING)},
+    }
     lines = [
         "# Status of this build",
         "",
         f"Profile **{profile}**, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC, {pages.provenance.code_revision()}.",
-        f"Preparing data and descriptors took {preparation:.0f} s in this run; "
         f"{sum(o.cached for o in outcomes)} of {len(outcomes)} notebooks were reused because nothing they depend on changed.",
+        *(["", "What this run took before the book was built:", "", "```text", *stages, "```"] if stages else []),
         "",
         "## Notebooks",
         "",
-        _markdown_table(
-            ["Notebook", "Seconds", "This run", "Datasets", "Methods", "Key"],
-            [
-                [
-                    f"[{o.name}]({o.name}.ipynb)",
-                    f"{o.seconds:.1f}",
-                    "reused" if o.cached else "run",
-                    str(len(used[o.name].datasets)),
-                    str(len(used[o.name].methods)),
-                    f"`{o.key[:12]}`",
-                ]
-                for o in outcomes
-            ],
-        ),
+        _markdown_table(["Notebook", "Seconds", "This run", "Datasets", "Methods", "Key"], notebooks),
         "",
         "Seconds are those of the run that made the page, also where it is reused.",
         "",
@@ -71,41 +62,55 @@ def record_run(
         "",
         "## Machine and versions",
         "",
-        _markdown_table(
-            ["What", "Value"],
-            [
-                ["Machine", f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, {_memory()}"],
-                ["Python", platform.python_version()],
-                *[[name, version(name)] for name in _SHOWN_VERSIONS],
-            ],
-        ),
+        _markdown_table(["What", "Value"], list(machine.items())),
         "",
     ]
-    _write_notice(manifest, profile)
-    target = executed_folder(manifest) / _STATUS
-    with store.replacing(target) as temporary:
+    _write_notice(manifest, profile, tasks)
+    page = executed_folder(manifest) / "status.md"
+    with store.replacing(page) as temporary:
         temporary.write_text("\n".join(lines), encoding="utf-8")
+    store.seal(page, {"profile": profile})
 
 
-def _write_notice(manifest: Manifest, profile: str) -> None:
-    """Put a notice above every page of the book where its numbers are not results; see ``book/_ext/offline.py``."""
+def _write_notice(manifest: Manifest, profile: str, tasks: Sequence[Task]) -> None:
+    """Put notices above every page of the book, a line each: where its numbers are no results, and where not of this machine.
+
+    See ``book/_ext/offline.py``.
+    """
+    lines = [MADE] if manifest.profile(profile).made else []
+    lines += [f"From the results bundle of {date}." for date in _bundles(manifest, tasks)]
     path = executed_folder(manifest) / "notice.txt"
-    if manifest.profile(profile).made:
+    if lines:
         with store.replacing(path) as temporary:
-            temporary.write_text(MADE, encoding="utf-8")
+            temporary.write_text("\n".join(lines), encoding="utf-8")
     else:
         path.unlink(missing_ok=True)
 
 
-def _data_rows(manifest: Manifest, tasks: Sequence[Task]) -> list[list[str]]:
-    from artifact.book.runner import load_all
+def _bundles(manifest: Manifest, tasks: Sequence[Task]) -> list[str]:
+    """Dates of the imported bundles that descriptors of these pages are recorded in, where their values are not here."""
+    loaded = {name: load_all(manifest, name) for name in {name for task in tasks for name in task.datasets}}
+    recorded = {
+        name
+        for task in tasks
+        for name in task.datasets
+        if any(not extract.is_at_hand(manifest, t, method) for t in loaded[name] for method in task.methods)
+    }
+    return [bundle.date for bundle in imported.bundles(manifest) if recorded & {*bundle.datasets}]
 
+
+def _data_rows(manifest: Manifest, tasks: Sequence[Task]) -> list[list[Any]]:
     rows = []
     for name in dict.fromkeys(name for task in tasks for name in task.datasets):
         kind = manifest.dataset(name).kind
         for traversal in load_all(manifest, name):
-            state = "rendered" if kind == "city" else "images" if traversal.has_images else "shipped descriptors"
-            rows.append([name, traversal.name, str(len(traversal)), state, f"`{traversal.digest[:12]}`"])
+            recorded = any(given.path is None for given in traversal.descriptors.values())
+            without_images = "given descriptors" if traversal.descriptors else "shipped descriptors"
+            without_images = "results bundle" if recorded else without_images
+            photographs = "prepared images" if traversal.preparation else "images"
+            with_images = "rendered" if kind == "city" else photographs
+            state = "made descriptors" if kind == "made" else with_images if traversal.has_images else without_images
+            rows.append([plain(name), plain(traversal.name), len(traversal), state, f"`{traversal.digest[:12]}`"])
     return rows
 
 
@@ -122,19 +127,18 @@ def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 def status_lines(manifest: Manifest, profile: str) -> list[str]:
     """Return what is ready and what is missing, without making anything."""
-    from artifact.extraction import extract
-
-    cache = manifest.cache
-    lines = [f"manifest  {manifest.path}", f"data root {manifest.data_root}", f"cache     {cache}"]
+    lines = [f"manifest  {manifest.path}", f"data root {manifest.data_root}", f"cache     {manifest.cache}"]
     entry = manifest.profile(profile)
     for name in entry.datasets:
-        missing = datasets.describe_missing(manifest, name)
-        if missing:
+        if missing := datasets.describe_missing(manifest, name):
             lines.append(missing.splitlines()[0])
             continue
         for traversal in datasets.load(manifest, name).traversals.values():
             ready = [method for method in entry.methods if extract.is_ready(manifest, traversal, method)]
             lines.append(f"{name}/{traversal.name}: {len(traversal)} images, descriptors: {', '.join(ready) or 'none'}")
+    for bundle in imported.bundles(manifest):
+        where = imported.folder_of(manifest, bundle.profile)
+        lines.append(f"bundle    results of {bundle.date}, profile {bundle.profile}, in {where}")
     index = source_folder(manifest) / "_build" / "html" / "index.html"
     lines.append(f"book      {index if index.exists() else 'not built'}")
     return lines
