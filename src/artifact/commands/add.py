@@ -13,13 +13,14 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
-from artifact import datasets, pages, store, studies
+from artifact import pages, store, studies
 from artifact.datasets import DatasetError
 from artifact.datasets.arrays import read_threshold
 from artifact.manifest import Manifest
 from artifact.manifest.entries import DatasetEntry
 from artifact.manifest.layout import DESCRIPTION, POSITIONS_FILE, has_index, positions_source
 from artifact.pages import galleries
+from artifact.studies.preview import Preview
 
 PREVIEW = "preview.html"
 
@@ -46,20 +47,16 @@ def run(manifest: Manifest, options: argparse.Namespace) -> Iterator[str]:
     except ValidationError as error:
         raise DatasetError(f"{options.name}: {error.errors()[0]['msg']}") from None
     known = replace(manifest, datasets={**manifest.datasets, options.name: entry})
-    facts = studies.preview.pair_facts(known, options.name)
-    table = studies.preview.traversals_table(known, options.name)
-    yield table.to_string(index=False, na_rep="–", float_format=lambda value: f"{value:.2f}")
-    yield studies.preview.in_words(facts)
-    for remark in (remarks := studies.preview.remarks(known, options.name)):
-        yield f"warning: {remark}"
-    if not facts["evaluated"]:
+    preview = studies.preview.look_at(known, options.name)
+    yield from preview.lines()
+    if not preview.facts["evaluated"]:
         raise DatasetError(f"{options.name}: no query has a positive; check the positions and --threshold")
     if options.dry_run:
         yield "nothing was written (--dry-run)"
         return
     with store.replacing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    page = _page(known, options.name, table, facts, remarks)
+    page = _page(preview)
     with store.replacing(folder / PREVIEW) as temporary:
         temporary.write_text(page, encoding="utf-8")
     shown = _as_typed(folder)
@@ -143,24 +140,21 @@ def _default_threshold(parts: dict[str, Path], sources: dict[str, tuple[str, Pat
     return read_threshold("1frame" if frames else "25m")
 
 
-def _page(manifest: Manifest, name: str, table: Any, facts: dict[str, Any], remarks: list[str]) -> str:
+def _page(preview: Preview) -> str:
     """The preview as one HTML file that needs nothing else."""
-    entry = manifest.dataset(name)
-    dataset = datasets.load(manifest, name, entry.traversals)
+    dataset = preview.dataset
     pages.style.use_style()
     parts = [
-        pages.preview.facts(facts, remarks),
-        pages.preview.traversals_table(table, dataset.unit),
+        pages.preview.facts(preview.facts, preview.remarks),
+        pages.preview.traversals_table(preview.traversals, dataset.unit),
         pages.preview.positions_figure(dataset),
         galleries.contact_sheet(dataset),
     ]
     head = pages.common.markup(
         "<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'>"
         "<title>{}</title><style>body{{font-family:sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}}"
-        "table{{border-collapse:collapse}}td,th{{padding:.2rem .6rem;text-align:right}}img,svg{{max-width:100%}}"
-        "</style><h1>{}</h1>",
-        dataset.title,
-        dataset.title,
+        "</style>{}<h1>{}</h1>",
+        *(dataset.title, pages.style.page_style(), dataset.title),
     )
     return pages.common.join([head, *parts]).data
 

@@ -1,4 +1,4 @@
-"""The command line: ``python -m artifact {reproduce,data,extract,run,book,evaluate,verify,bench,plan,status}``."""
+"""The command line: ``python -m artifact {reproduce,data,extract,run,book,evaluate,results,verify,bench,plan,status}``."""
 
 from __future__ import annotations
 
@@ -29,8 +29,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write("\nstopped; what is finished stays, run the same command again to go on\n")
         return 130
     except _user_errors() as error:
-        sys.stderr.write(f"error: {error}\n")
+        sys.stderr.write(f"error: {_in_words(error)}\n")
         return 1
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename or 'a file'}: {error.strerror}; what is finished stays, run again when that is mended"
+    return str(error)
 
 
 def _user_errors() -> tuple[type[Exception], ...]:
@@ -38,14 +44,16 @@ def _user_errors() -> tuple[type[Exception], ...]:
     from artifact.book.build import BookError
     from artifact.book.parameters import ParameterError
     from artifact.book.runner import NotebookError
+    from artifact.commands.workers import ClusterError
     from artifact.datasets import DatasetError
-    from artifact.extraction.extract import ExtractionError
+    from artifact.extraction.reading import ExtractionError
     from artifact.manifest.entries import ManifestError
     from artifact.methods.weights import WeightsError
     from artifact.store import StoreError
 
     return (
         BookError,
+        ClusterError,
         DatasetError,
         ExtractionError,
         ManifestError,
@@ -53,7 +61,7 @@ def _user_errors() -> tuple[type[Exception], ...]:
         NotebookError,
         StoreError,
         WeightsError,
-        FileNotFoundError,
+        OSError,
     )
 
 
@@ -66,10 +74,22 @@ def _parser() -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=text, description=text)
         sub.set_defaults(command=function)
         sub.add_argument("--manifest", type=Path, help="manifest file (default: the nearest data_manifest.yaml)")
+        sub.add_argument("--trust", action="store_true", help="run the builders that a manifest from elsewhere names")
         return sub
 
     def scope(sub: argparse.ArgumentParser) -> None:
         sub.add_argument("--profile", default="demo", help="profile of the manifest (default: demo)")
+
+    def work(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument(
+            "--cluster",
+            default="",
+            metavar="WHERE",
+            help="local, slurm, pbs, lsf, sge, or a scheduler's address (default: local with several CUDA devices, else none)",
+        )
+        sub.add_argument(
+            "--check-images", action="store_true", help="read every image, also those not written since the last time"
+        )
 
     def notebooks(sub: argparse.ArgumentParser) -> None:
         scope(sub)
@@ -93,12 +113,13 @@ def _parser() -> argparse.ArgumentParser:
         )
         sub.add_argument("--jobs", type=int, help="notebooks that run at once (default: the number of cores)")
         sub.add_argument("--force", action="store_true", help="run notebooks again even where nothing changed")
+        work(sub)
 
-    sub = command("reproduce", _reproduce, "make datasets and descriptors ready, run the notebooks, build the book")
-    notebooks(sub)
-    sub = command("run", _run, "as reproduce, without building the book")
-    notebooks(sub)
-    sub = command("book", _book, "build the book from the executed notebooks, running none")
+    notebooks(
+        command("reproduce", _reproduce, "make datasets and descriptors ready, run the notebooks, build the book")
+    )
+    notebooks(command("run", _run, "as reproduce, without building the book"))
+    command("book", _book, "build the book from the executed notebooks, running none")
     sub = command("data", _data, "make the datasets and weights of a profile ready and say which are missing")
     scope(sub)
     _add_options(sub)
@@ -116,42 +137,77 @@ def _parser() -> argparse.ArgumentParser:
         default="float32",
         help="mixed precision gives other descriptors, stored beside the former (default: float32)",
     )
+    work(sub)
     sub.add_argument("--dry-run", action="store_true", help="extract nothing; say what it takes on this machine")
     sub.add_argument(
-        "--ship", metavar="DATASET", help="for maintainers: store this dataset's descriptors in the package"
+        "--ship",
+        metavar="DATASET",
+        help="for maintainers: store this dataset's descriptors in the package, or of a rendered one VLAD's vocabulary",
     )
     sub = command("evaluate", _evaluate, "print R@K, DAR@K and RSR@K of datasets and methods")
     scope(sub)
-    sub.add_argument("--datasets", nargs="+", help="names or folders (default: those of the profile)")
-    sub.add_argument("--methods", nargs="+", help="names (default: those of the profile)")
-    sub.add_argument("--k", type=int, nargs="+", default=[], help="K (default: 1; for files 1, 5 and 10)")
-    _descriptor_files(sub)
-    sub = command("suppress", _suppress("fit"), "fit a suppression transform on descriptors in files, or apply one")
-    _suppress_options(sub)
+    _evaluate_options(sub)
+    text = "fit a suppression transform on descriptors in files, or apply one"
+    _suppress_options(command("suppress", _suppress("fit"), text))
+    _results_options(command("results", _results_import, "pass results on, or read those of others"))
     sub = command(
         "verify",
         _verify,
-        "check stored descriptors against their sidecars and measurements against the paper",
+        "check stored results against their records and measurements against the paper",
     )
     scope(sub)
-    sub = command(
+    sub.add_argument(
+        "--repair", action="store_true", help="delete what is damaged and all that was made from it, and make it again"
+    )
+    sub.add_argument(
+        "--recompute",
+        metavar="'DATASET x METHOD'",
+        help="compute this anew from images, and compare with what is stored",
+    )
+    command(
         "bench",
         _bench,
         "time the ranking pass against a bare matrix product, and extraction against the model",
-    )
-    sub.add_argument(
+    ).add_argument(
         "--methods", nargs="*", metavar="METHOD", help="time these methods instead (default: the paper's), for Table II"
     )
     sub = command("plan", _plan, "say what a whole run takes on this machine: time, memory and disk of every step")
     scope(sub)
-    sub.add_argument("--devices", "--device", metavar="DEVICES", help="devices of extraction, as for extract")
-    sub = command("status", _status, "show the state of data, descriptors and the last run")
-    scope(sub)
+    _schedule_options(sub)
+    scope(command("status", _status, "show the state of data, descriptors and the last run"))
+    command("cluster-example", _cluster_example, "write cluster.yaml, options of queueing systems to fill in")
     return parser
 
 
-def _descriptor_files(sub: argparse.ArgumentParser) -> None:
-    """Options of descriptors in files."""
+def _schedule_options(sub: argparse.ArgumentParser) -> None:
+    """Options of ``plan``."""
+    sub.add_argument(
+        "--csv", type=Path, metavar="FILE", help="write the plan as a table instead, for the page Full run"
+    )
+    sub.add_argument("--devices", "--device", metavar="DEVICES", help="devices of extraction, as for extract")
+    sub.add_argument("--jobs", action="store_true", help="list the jobs instead, with time, memory and what they need")
+    sub.add_argument(
+        "--workers",
+        nargs="*",
+        type=_positive,
+        metavar="N",
+        help="foretell the schedule on so many workers instead (default: 1 8 64 512)",
+    )
+    sub.add_argument("--gpus", type=_positive, default=0, metavar="N", help="of the workers, how many have a GPU")
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text}: must be 1 or more")
+    return value
+
+
+def _evaluate_options(sub: argparse.ArgumentParser) -> None:
+    """Options of ``evaluate``: datasets and methods, or descriptors in files."""
+    sub.add_argument("--datasets", nargs="+", help="names or folders (default: those of the profile)")
+    sub.add_argument("--methods", nargs="+", help="names (default: those of the profile)")
+    sub.add_argument("--k", type=int, nargs="+", default=[], help="K (default: 1; for files 1, 5 and 10)")
     group = sub.add_argument_group("descriptors in files, instead of datasets and methods")
     group.add_argument("--queries", type=Path, metavar="FILE", help=".npy, .npz, .safetensors or .h5 (hloc's layout)")
     group.add_argument("--database", type=Path, metavar="FILE", help="the same for the database")
@@ -174,9 +230,17 @@ def _descriptor_files(sub: argparse.ArgumentParser) -> None:
 
 
 def _add_options(sub: argparse.ArgumentParser) -> None:
-    """Options of ``data add``."""
+    """Options of ``data`` for published datasets, of ``data status`` and ``data add``."""
+    sub.add_argument(
+        "--dataset", nargs="+", default=[], metavar="NAME", help="obtain and prepare these from published files"
+    )
+    sub.add_argument("--traversal", nargs="+", default=[], metavar="NAME", help="of the dataset, only these")
+    sub.add_argument("--set", default="", metavar="TEXT", help="parameters of the preparation, as make SET='poses=ins'")
+    actions = sub.add_subparsers(metavar="{status,add}", title="what is here, and own images")
+    text = "show which published datasets are here, verified or missing, and how to get them"
+    status = actions.add_parser("status", help=text, description=text)
+    status.set_defaults(command=_data_status)
     text = "describe folders of images as a dataset, after a look at them"
-    actions = sub.add_subparsers(metavar="add", title="own images")
     add = actions.add_parser("add", help=text, description=text)
     add.set_defaults(command=_add)
     add.add_argument("name", metavar="NAME", help="folder that will hold dataset.yaml and preview.html")
@@ -193,6 +257,20 @@ def _add_options(sub: argparse.ArgumentParser) -> None:
     where.add_argument("--order", action="store_true", help="the n-th images of all folders show the same place")
     add.add_argument("--threshold", metavar="T", help="25m, 2frames or exact (default: 25m, or 1frame without metres)")
     add.add_argument("--dry-run", action="store_true", help="look only, write nothing")
+
+
+def _results_options(sub: argparse.ArgumentParser) -> None:
+    """Options of ``results export`` and ``results import``."""
+    actions = sub.add_subparsers(required=True, metavar="action")
+    text = "write the results that the pages of a profile read into one file"
+    export = actions.add_parser("export", help=text, description=text)
+    export.set_defaults(command=_results_export)
+    export.add_argument("file", type=Path, metavar="FILE.zip")
+    export.add_argument("--profile", default="paper", help="profile of the manifest (default: paper)")
+    text = "check such a file and read it, so that reproduce builds the book from it"
+    reading = actions.add_parser("import", help=text, description=text)
+    reading.set_defaults(command=_results_import)
+    reading.add_argument("file", type=Path, metavar="FILE.zip")
 
 
 def _suppress_options(sub: argparse.ArgumentParser) -> None:
@@ -215,6 +293,30 @@ def _suppress_options(sub: argparse.ArgumentParser) -> None:
     apply.add_argument("--condition", choices=("query", "database"), help="of the descriptors; STD needs it")
 
 
+def _cluster_example(options: argparse.Namespace) -> None:
+    from artifact import store
+    from artifact.commands import workers
+
+    path = _manifest(options).path.parent / workers.OPTIONS
+    if path.exists():
+        raise workers.ClusterError(f"{path}: is there already; delete it to write a new one")
+    with store.replacing(path) as temporary:
+        temporary.write_text(workers.EXAMPLE, encoding="utf-8")
+    sys.stdout.write(f"{path} written: fill it in, then make reproduce CLUSTER=slurm\n")
+
+
+def _results_export(options: argparse.Namespace) -> None:
+    from artifact.commands import results
+
+    _print(results.export(_manifest(options), options.profile, options.file))
+
+
+def _results_import(options: argparse.Namespace) -> None:
+    from artifact.commands import importing
+
+    _print(importing.read(_manifest(options), options.file))
+
+
 def _suppress(action: str) -> Callable[[argparse.Namespace], None]:
     def run(options: argparse.Namespace) -> None:
         from artifact.commands import suppress
@@ -233,14 +335,17 @@ def _add(options: argparse.Namespace) -> None:
 def _manifest(options: argparse.Namespace, *, make: bool = True) -> Any:
     """Load the manifest as the profile sees it; ``make`` writes made descriptors that are missing."""
     from artifact import manifest
-    from artifact.extraction import made
 
     loaded = manifest.load(options.manifest)
+    if not options.trust:
+        manifest.refuse_code_from_elsewhere(loaded)
     profile = getattr(options, "profile", None)
     if profile is None or not loaded.profile(profile).made:
         return loaded
     loaded = loaded.for_profile(profile)
     if make:
+        from artifact.extraction import made
+
         made.make(loaded, profile)
     return loaded
 
@@ -291,36 +396,75 @@ def assignments(text: str) -> list[str]:
     return [part for part in parts if part]
 
 
-def _run(options: argparse.Namespace) -> None:
-    from artifact.book import build, runner, status
+def _run(options: argparse.Namespace, *, book: bool = False) -> None:
+    from artifact import store
+    from artifact.book import build, runner, stages, status
+    from artifact.commands import data, verify
 
     manifest = _manifest(options)
+    store.sweep(manifest.cache)
     tasks = runner.plan(
         manifest,
         options.profile,
         only=options.only,
         asked=asked_parameters([*options.parameter, *assignments(options.set)]),
     )
-    with build.timed() as preparation:
-        runner.prepare(manifest, tasks)
-    outcomes = runner.run(manifest, tasks, build.executed_folder(manifest), jobs=options.jobs, force=options.force)
-    status.record_run(manifest, options.profile, tasks, outcomes, preparation.seconds)
-    ran = [outcome for outcome in outcomes if not outcome.cached]
-    sys.stdout.write(f"notebooks: {len(ran)} run, {len(outcomes) - len(ran)} unchanged\n")
+    tasks = runner.with_what_is_here(manifest, tasks)
+    data.require(manifest, tasks)
+    if options.check_images:
+        _print(verify.changed_files(manifest, dict.fromkeys(name for task in tasks for name in task.datasets)))
+    with stages.measured() as spent:
+        with spent.of("preparation"):
+            _on_cluster(options, manifest, tasks)
+            runner.prepare(manifest, tasks)
+        with build.alone(manifest):
+            executed = build.executed_folder(manifest)
+            with spent.of("notebooks"):
+                outcomes = runner.run(manifest, tasks, executed, jobs=options.jobs, force=options.force)
+            status.record_run(manifest, options.profile, tasks, outcomes, spent.lines())
+            ran = [outcome for outcome in outcomes if not outcome.cached]
+            sys.stdout.write(f"notebooks: {len(ran)} run, {len(outcomes) - len(ran)} unchanged\n")
+            if book:
+                with spent.of("book"):
+                    _build(manifest)
+        _print(spent.lines())
+
+
+def _on_cluster(options: argparse.Namespace, manifest: Any, tasks: Any, precision: str = "float32") -> None:
+    """Do the heavy work of a run on the cluster that was asked for, if any."""
+    from artifact.commands import cluster, workers
+
+    where = options.cluster or ("local" if workers.devices() > 1 and workers.is_there() else "")
+    if where:
+        _print(cluster.lines(where, manifest, tasks, precision=precision))
 
 
 def _reproduce(options: argparse.Namespace) -> None:
-    _run(options)
-    _book(options)
+    _run(options, book=True)
 
 
 def _book(options: argparse.Namespace) -> None:
     from artifact.book import build
 
     manifest = _manifest(options)
+    with build.alone(manifest):
+        _build(manifest)
+
+
+def _build(manifest: Any) -> None:
+    from artifact.book import build
+
     built, seconds = build.build(manifest)
     what = f"built in {seconds:.0f} s" if seconds is not None else "unchanged"
     sys.stdout.write(f"book: {what}; open {built}\n")
+    if counted := build.tally(manifest):
+        sys.stdout.write(f"{counted}\n")
+
+
+def _data_status(options: argparse.Namespace) -> None:
+    from artifact.commands import data
+
+    _print(data.status_lines(_manifest(options)))
 
 
 def _data(options: argparse.Namespace) -> int:
@@ -328,6 +472,8 @@ def _data(options: argparse.Namespace) -> int:
     from artifact.book import runner
 
     manifest = _manifest(options)
+    if options.dataset:
+        return _obtain(manifest, options)
     missing = 0
     for name in manifest.profile(options.profile).datasets:
         try:
@@ -337,9 +483,30 @@ def _data(options: argparse.Namespace) -> int:
             sys.stdout.write(f"{name}: missing\n{error}\n")
             continue
         for traversal in traversals:
-            state = str(traversal.folder) if traversal.folder else "shipped descriptors only"
+            without = "records of a results bundle" if traversal.descriptors else "shipped descriptors only"
+            state = str(traversal.folder) if traversal.folder else without
             sys.stdout.write(f"{name}/{traversal.name}: {len(traversal)} images, {state}\n")
     missing += _fetch_weights(manifest, options.profile)
+    return 1 if missing else 0
+
+
+def _obtain(manifest: Any, options: argparse.Namespace) -> int:
+    """Obtain and prepare published datasets; all that can be done is done before what is missing is said."""
+    from artifact.book.parameters import ParameterError
+    from artifact.datasets import DatasetError, published
+
+    asked = asked_parameters(assignments(options.set))
+    if named := [name for name in asked if name != "*"]:
+        raise ParameterError(
+            f"{named[0]!r}: parameters of a preparation have no name before them, for example poses=ins"
+        )
+    missing = 0
+    for name in options.dataset:
+        try:
+            _print(published.obtain(manifest, name, options.traversal, asked.get("*", {})))
+        except DatasetError as error:
+            missing += 1
+            sys.stderr.write(f"error: {error}\n")
     return 1 if missing else 0
 
 
@@ -367,7 +534,7 @@ def _fetch_weights(manifest: Any, profile: str) -> int:
 
 def _extract(options: argparse.Namespace) -> None:
     from artifact.book import runner
-    from artifact.commands import plan, ship
+    from artifact.commands import data, plan, ship, verify
     from artifact.extraction import extract
     from artifact.methods import weights
 
@@ -380,9 +547,15 @@ def _extract(options: argparse.Namespace) -> None:
     if options.dry_run:
         _print(plan.lines(manifest, options.profile, device=options.devices, precision=options.precision))
         return
+    described = runner.Task(Path("extract"), {}, tuple(profile.datasets), tuple(profile.methods))
+    data.require(manifest, [described])
+    if options.check_images:
+        _print(verify.changed_files(manifest, profile.datasets))
     traversals = [traversal for name in profile.datasets for traversal in runner.load_all(manifest, name)]
     weights.require({name: manifest.method(name) for name in profile.methods})
     extract.check_disk(manifest, traversals, profile.methods)
+    if not options.devices:
+        _on_cluster(options, manifest, [described], options.precision)
     for traversal in traversals:
         for method in profile.methods:
             found = extract.descriptors(
@@ -402,11 +575,9 @@ def _evaluate(options: argparse.Namespace) -> None:
 
     manifest = _manifest(options)
     profile = manifest.profile(options.profile)
-    own = [name for name in options.datasets or [] if name not in manifest.datasets]
-    for name in own:
-        sys.stdout.write(f"{name}: {preview.in_words(preview.pair_facts(manifest, name))}\n")
-        sys.stdout.write(preview.traversals_table(manifest, name).to_string(index=False, na_rep="–") + "\n")
-        sys.stdout.write("".join(f"warning: {remark}\n" for remark in preview.remarks(manifest, name)) + "\n")
+    for name in options.datasets or []:
+        if name not in manifest.datasets:
+            _print([f"{name}:", *preview.look_at(manifest, name).lines(), ""])
     for k in options.k or [1]:
         study = recall.recall_table(
             manifest, options.datasets or profile.datasets, options.methods or profile.methods, k=k
@@ -419,9 +590,21 @@ def _evaluate(options: argparse.Namespace) -> None:
 def _verify(options: argparse.Namespace) -> int:
     from artifact.commands import verify
 
-    lines, faults = verify.verify(_manifest(options), options.profile)
+    manifest, failed = _manifest(options), []
+    if options.recompute:
+        from artifact.commands import recompute
+
+        faults = 0
+        for line, differs in recompute.lines(manifest, options.profile, options.recompute):
+            sys.stdout.write(f"{line}\n")
+            faults += differs
+        return 1 if faults else 0
+    if options.repair:
+        same = ["--profile", options.profile, *(["--manifest", str(options.manifest)] if options.manifest else [])]
+        _print(verify.repair(manifest, options.profile, lambda: failed.append(main(["reproduce", *same]))))
+    lines, faults = verify.verify(manifest, options.profile)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
-    return 1 if faults else 0
+    return 1 if faults or any(failed) else 0
 
 
 def _bench(options: argparse.Namespace) -> None:
@@ -438,9 +621,23 @@ def _bench(options: argparse.Namespace) -> None:
 
 
 def _plan(options: argparse.Namespace) -> None:
+    from artifact import store
     from artifact.commands import plan
 
-    _print(plan.run_lines(_manifest(options), options.profile, device=options.devices))
+    manifest = _manifest(options)
+    if options.csv:
+        with store.replacing(options.csv) as temporary:
+            plan.run_frame(manifest, options.profile, device=options.devices).to_csv(temporary, index=False)
+        sys.stdout.write(f"{options.csv} written\n")
+        return
+    if not options.jobs and options.workers is None:
+        _print(plan.run_lines(manifest, options.profile, device=options.devices))
+        return
+    graph = plan.planned_jobs(manifest, options.profile, device=options.devices)
+    if options.jobs:
+        _print(plan.job_lines(graph))
+    if options.workers is not None:
+        _print(plan.schedule_lines(graph, options.workers or (1, 8, 64, 512), options.gpus))
 
 
 def _print(lines: Iterable[str]) -> None:

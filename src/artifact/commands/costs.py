@@ -7,12 +7,13 @@ The counts of fits and passes are those of the pages of the book: Table III and 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from artifact.commands.probes import INLP_ITERATIONS
 from artifact.extraction import local_features
-from artifact.extraction.costs import ExtractionCost, Part
+from artifact.extraction.costs import ExtractionCost, KnownTraversal
 from artifact.manifest import Manifest
 from artifact.manifest.entries import MethodEntry
 from artifact.studies.verdicts import FRACTIONS
@@ -116,9 +117,11 @@ class Pair:
         return 4.0 * self.images * self.dimension
 
 
-def sizes(manifest: Manifest, method: str, dataset: str, parts: Sequence[Part], *, embedded: bool = False) -> Pair:
+def sizes(
+    manifest: Manifest, method: str, dataset: str, known: Sequence[KnownTraversal], *, embedded: bool = False
+) -> Pair:
     """Return the sizes of a pair; of a traversal whose size is unknown, that of the query traversal."""
-    entry, images = manifest.dataset(dataset), {part.name: part.images for part in parts}
+    entry, images = manifest.dataset(dataset), {one.name: one.images for one in known}
     queries = images.get(entry.query) or 0
     return Pair(
         queries,
@@ -132,9 +135,9 @@ def sizes(manifest: Manifest, method: str, dataset: str, parts: Sequence[Part], 
 
 
 def pair_cost(pair: Pair, entry: MethodEntry, extraction: ExtractionCost, rates: Rates) -> PairCost:
-    """Return what all steps of a pair take; two-stage methods have no suppression."""
+    """Return what all steps of a pair take; two-stage methods have no suppression. Where a rate is missing, time is unknown."""
     steps = [Step("extraction", extraction.seconds, extraction.memory or 0.0, extraction.disk)]
-    measured = {name: math.nan if value is None else value for name, value in rates.items()}
+    measured = defaultdict(lambda: math.nan, {name: value for name, value in rates.items() if value is not None})
     if entry.rerank is not None:
         steps.append(_two_stage(pair, entry, measured))
     else:

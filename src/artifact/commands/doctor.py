@@ -25,13 +25,12 @@ def faults() -> Iterator[str]:
     for module in ("venv", "ensurepip"):
         if importlib.util.find_spec(module) is None:
             yield f"Python has no module {module}; on Debian and Ubuntu: apt install python3-venv"
-    if shutil.which("git") is None:
-        yield "git is not found: only clones need it, a downloaded archive works without"
-    for name, folder in (
-        ("clone", _ROOT),
-        ("cache", Path(os.environ.get("ARTIFACT_CACHE", _ROOT / ".cache")).expanduser()),
-    ):
-        yield from _folder_faults(name, folder)
+    if (_ROOT / ".git").exists() and shutil.which("git") is None:
+        yield "git is not found: pages cannot say which commit made them; all else works"
+    if not (_ROOT / ".venv" / ".ready").exists():
+        yield from _folder_faults(_ROOT, "clone to another place")
+    cache = Path(os.environ.get("ARTIFACT_CACHE", _ROOT / ".cache")).expanduser()
+    yield from _folder_faults(cache, "set ARTIFACT_CACHE to a folder that can be written")
     python = _ROOT / ".venv" / "bin" / "python"
     if (
         python.exists()
@@ -43,14 +42,13 @@ def faults() -> Iterator[str]:
             yield f"{variable} is set to {os.environ[variable]!r}, which can hide installed packages; unset it"
 
 
-def _folder_faults(name: str, folder: Path) -> Iterator[str]:
+def _folder_faults(folder: Path, advice: str) -> Iterator[str]:
     there = next(parent for parent in (folder, *folder.parents) if parent.exists())
     try:
         with tempfile.TemporaryFile(dir=there):
             pass
     except OSError as error:
-        where = "set ARTIFACT_CACHE to a folder that can be written" if name == "cache" else "clone to another place"
-        yield f"{there} cannot be written ({error.strerror}); {where}"
+        yield f"{there} cannot be written ({error.strerror}); {advice}"
         return
     free = shutil.disk_usage(there).free / 1e9
     if free < _NEEDED_GB:

@@ -18,22 +18,20 @@ from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.statistics import intervals
 from artifact.ranking.one_pass import ORIGINAL
-from artifact.studies import preview
-from artifact.suppression.inlp import INLP
-from artifact.suppression.leace import LEACE
+from artifact.studies import fitted, preview
+from artifact.studies.fitted import DATABASE, QUERY
 from artifact.suppression.regions import split
-from artifact.suppression.std import STD
 
-QUERY, DATABASE = "query", "database"
 LEVELS = (1, 5, 10)
 
 
 class Images(NamedTuple):
-    """Descriptors ``(n, d)`` with positions ``(n, p)`` in ``unit``."""
+    """Descriptors ``(n, d)`` with positions ``(n, p)`` in ``unit``, perhaps of a UTM zone."""
 
     descriptors: np.ndarray
     positions: np.ndarray
     unit: str
+    zone: str | None
 
 
 def run(options: argparse.Namespace) -> Iterator[str]:
@@ -49,7 +47,11 @@ def run(options: argparse.Namespace) -> Iterator[str]:
     queries = _images(options.queries, options.query_positions, "queries")
     database = _images(options.database, options.database_positions, "database")
     threshold = read_threshold(options.threshold)
-    _check(queries, database, threshold.unit)
+    _check(f"--database {options.database}", database, queries)
+    if (threshold.unit == "metres") != (queries.unit == "metres"):
+        raise DatasetError(
+            f"the threshold is in {threshold.unit}, the positions are in {queries.unit}; write 25m or 2frames"
+        )
     pools = dict(_pool(text, queries) for text in options.distractors)
     levels = options.k or LEVELS
     facts = {"threshold": str(threshold), **preview.counts(queries.positions, database.positions, threshold.value)}
@@ -82,19 +84,22 @@ def _pool(text: str, queries: Images) -> tuple[str, Images]:
         raise DatasetError(f"--distractors {text!r}: allowed: NAME=FILE or NAME=FILE,POSITIONS")
     file, comma, positions = files.partition(",")
     pool = _images(Path(file), Path(positions) if comma else None, f"distractors {name}")
-    if pool.unit != queries.unit or pool.positions.shape[1] != queries.positions.shape[1]:
-        raise DatasetError(f"--distractors {name}: positions in {pool.unit}, those of the queries in {queries.unit}")
+    _check(f"--distractors {name}", pool, queries)
     return name, pool
 
 
-def _check(queries: Images, database: Images, unit: str) -> None:
-    if queries.unit != database.unit or queries.positions.shape[1] != database.positions.shape[1]:
+def _check(label: str, found: Images, queries: Images) -> None:
+    """Positions of a file must be of the queries' kind."""
+    kinds = [f"{images.unit} ({images.positions.shape[1]} columns)" for images in (found, queries)]
+    if kinds[0] != kinds[1]:
         raise DatasetError(
-            f"query positions are in {queries.unit} ({queries.positions.shape[1]} columns), database positions in "
-            f"{database.unit} ({database.positions.shape[1]} columns); both must be the same"
+            f"{label}: positions in {kinds[0]}, those of the queries in {kinds[1]}; both must be the same"
         )
-    if (unit == "metres") != (queries.unit == "metres"):
-        raise DatasetError(f"the threshold is in {unit}, the positions are in {queries.unit}; write 25m or 2frames")
+    if found.zone and queries.zone and found.zone != queries.zone:
+        raise DatasetError(
+            f"{label}: positions in the UTM zone {found.zone}, those of the queries in {queries.zone}; give them as "
+            f"image,latitude,longitude in .csv files"
+        )
 
 
 def _evaluated(
@@ -112,34 +117,27 @@ def _evaluated(
         result = evaluate(*_pair(queries, database), threshold, **distractors)
         return _by_pool(ORIGINAL, result, pools)
     region = split(queries.positions, database.positions, threshold, options.fraction)
-    fitted = [queries.descriptors[region.fit_queries], database.descriptors[region.fit_database]]
-    if min(map(len, fitted)) < 2:
+    parts = [queries.descriptors[region.fit_queries], database.descriptors[region.fit_database]]
+    if min(map(len, parts)) < 2:
         raise DatasetError(
-            f"the fitting region has {len(fitted[0])} queries and {len(fitted[1])} database images; 2 of each are needed: "
+            f"the fitting region has {len(parts[0])} queries and {len(parts[1])} database images; 2 of each are needed: "
             f"raise --fraction"
         )
-    X, condition = (
-        np.concatenate(fitted).astype(np.float32),
-        np.repeat([QUERY, DATABASE], [len(part) for part in fitted]),
-    )
+    X, condition = np.concatenate(parts).astype(np.float32), np.repeat([QUERY, DATABASE], [len(part) for part in parts])
+    fits = fitted.fit(X, condition, asked, seed=options.seed)
     queries = _part(queries, region.evaluation_queries)
     database = _part(database, region.evaluation_database)
-    views: dict[str, Any] = {}
-    if "INLP" in asked:
-        views["INLP"] = INLP(seed=options.seed).fit(X, condition)
-    if "LEACE" in asked:
-        views["LEACE"] = LEACE().fit(X, condition)
+    views = {name: fits[name] for name in fitted.LOW_RANK if name in fits}
     result = evaluate(*_pair(queries, database), threshold, views=views, **distractors)
     results = {}
     for name in (ORIGINAL, *views):
         results |= _by_pool(name, result[name], pools)
-    if "STD" in asked:
-        std = STD().fit(X, condition)
+    if std := fits.get("STD"):
         moved = queries._replace(descriptors=std.transform(queries.descriptors, QUERY))
         against = database._replace(descriptors=std.transform(database.descriptors, DATABASE))
         if pools:
-            parts = {name: std.transform(pool.descriptors, QUERY) for name, pool in pools.items()}
-            distractors = {**distractors, "distractors": parts}
+            changed = {name: std.transform(pool.descriptors, QUERY) for name, pool in pools.items()}
+            distractors = {**distractors, "distractors": changed}
         results |= _by_pool("STD", evaluate(*_pair(moved, against), threshold, **distractors), pools)
     return results
 

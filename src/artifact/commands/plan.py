@@ -6,21 +6,30 @@ nothing but its short measured probes.
 
 from __future__ import annotations
 
+import os
+import platform
 from collections.abc import Iterator, Sequence
+from importlib.metadata import version
 from typing import TYPE_CHECKING
 
+import pandas as pd
 from tqdm import tqdm
 
-from artifact.commands import costs, probes
+from artifact.book import runner
+from artifact.commands import costs, jobs, probes
 from artifact.commands.costs import STEPS, PairCost
+from artifact.commands.jobs import Job
+from artifact.commands.simulate import schedule
 from artifact.extraction import local_features, reading, timing
-from artifact.extraction.costs import ExtractionCost, Part, extraction_cost, known_parts
+from artifact.extraction.costs import ExtractionCost, KnownTraversal, extraction_cost, known_traversals
 from artifact.extraction.disk import free_bytes, in_words
 from artifact.extraction.timing import Trials
 from artifact.manifest import Manifest
 
 if TYPE_CHECKING:
     import torch
+
+_SHOWN_NEEDS = 6  # of a job, in a line
 
 
 def lines(manifest: Manifest, profile: str, *, device: str | None = None, precision: str = "float32") -> Iterator[str]:
@@ -65,17 +74,7 @@ def run_lines(manifest: Manifest, profile: str, *, device: str | None = None) ->
     from artifact.extraction import forward
 
     devices = forward.devices(device)
-    trials = Trials(manifest.cache / "probes.json")
-    extractions, parts = _extractions(manifest, profile, trials, devices, "float32")
-    entries = {cost.method: manifest.method(cost.method) for cost in extractions}
-    layouts = {name: local_features.layout_of(entry) for name, entry in entries.items()}
-    rates = probes.rates(trials, sorted({at.shape for at in layouts.values() if at and not at.bits}))
-    shown = embedded_pair(manifest, profile)
-    pairs = []
-    for cost in extractions:
-        embedded = (cost.method, cost.dataset) == shown
-        pair = costs.sizes(manifest, cost.method, cost.dataset, parts[cost.dataset], embedded=embedded)
-        pairs.append(costs.pair_cost(pair, entries[cost.method], cost, rates))
+    extractions, found, pairs = _measured(manifest, profile, devices)
     yield from run_table(pairs)
     yield from _footnotes(manifest, extractions, devices)
     yield (
@@ -84,9 +83,9 @@ def run_lines(manifest: Manifest, profile: str, *, device: str | None = None) ->
     )
     unknown = [
         f"{name}/{traversal}"
-        for name, known in parts.items()
+        for name, known in found.items()
         for traversal in manifest.dataset(name).traversals
-        if traversal not in {part.name for part in known}
+        if traversal not in {one.name for one in known}
     ]
     if unknown:
         yield f"not counted in extraction, since nobody knows their number of images yet: {', '.join(unknown)}"
@@ -102,6 +101,84 @@ def run_lines(manifest: Manifest, profile: str, *, device: str | None = None) ->
             )
 
 
+def run_frame(manifest: Manifest, profile: str, *, device: str | None = None) -> pd.DataFrame:
+    """Return the plan of :func:`run_lines` as a row per method and dataset, with the machine that it was measured on.
+
+    Columns: ``method``, ``dataset``, ``images`` to describe, hours of each step (``extraction_h``, ...), peak ``memory`` and
+    ``disk`` in bytes, and ``machine`` in words.
+    """
+    from artifact.extraction import forward
+
+    devices = forward.devices(device)
+    extractions, _, pairs = _measured(manifest, profile, devices)
+    memory, torch_ = in_words(timing.available_memory()), version("torch")
+    machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, {memory} free, {devices[0]}, PyTorch {torch_}"
+    rows = [
+        {"method": pair.method, "dataset": pair.dataset, "images": extraction.images}
+        | {f"{step.name}_h": None if step.seconds is None else round(step.seconds / 3600, 3) for step in pair.steps}
+        | {"memory": int(pair.memory), "disk": int(pair.disk), "machine": machine}
+        for pair, extraction in zip(pairs, extractions, strict=True)
+    ]
+    return pd.DataFrame(rows)
+
+
+def planned_jobs(manifest: Manifest, profile: str, *, device: str | None = None) -> list[Job]:
+    """Return the jobs of a whole run with what each is expected to take; parameters and errors are those of :func:`run_lines`.
+
+    Traversals whose number of images nobody knows yet are left out.
+    """
+    from artifact.extraction import forward
+
+    _, found, pairs = _measured(manifest, profile, forward.devices(device)[:1])  # each job runs on one
+    images = {name: {one.name: one.images for one in known if one.images} for name, known in found.items()}
+    return jobs.planned(manifest, runner.plan(manifest, profile), images, pairs)
+
+
+def job_lines(graph: Sequence[Job]) -> Iterator[str]:
+    """Yield a line for each job: its name, time, memory, whether it wants a GPU, and what it needs."""
+    yield f"{len(graph)} jobs: time, memory, device, name, needs"
+    for job in graph:
+        needs = (
+            [*job.needs] if len(job.needs) < _SHOWN_NEEDS else [job.needs[0], f"… ({len(job.needs)})", job.needs[-1]]
+        )
+        memory = in_words(job.memory) if job.memory else "–"
+        device = "GPU" if job.on_device else "CPU"
+        yield f"{duration(job.seconds):>12}  {memory:>9}  {device}  {job.name}" + (
+            f"  ← {', '.join(needs)}" if needs else ""
+        )
+
+
+def schedule_lines(graph: Sequence[Job], workers: Sequence[int], gpus: int) -> Iterator[str]:
+    """Yield the schedule of jobs on each number of workers like this machine: time, share of it at work, critical path."""
+    rows = [("workers", "GPUs", "time", "at work")]
+    for number in workers:
+        found = schedule(graph, number, min(gpus, number))
+        rows.append((str(number), str(min(gpus, number)), duration(found.seconds), f"{100 * found.busy:.0f} %"))
+    yield from _aligned(rows)
+    unknown = sum(job.seconds is None for job in graph)
+    chain = " → ".join(f"{name} ({duration(seconds)})" for name, seconds in found.critical if seconds)
+    yield f"critical path, which no number of workers shortens: {duration(found.critical_seconds)}: {chain}"
+    yield f"{len(graph)} jobs, {unknown} of unknown time, taken as none; every worker as fast as this machine, a GPU only if it has one"
+
+
+def _measured(
+    manifest: Manifest, profile: str, devices: Sequence[torch.device]
+) -> tuple[list[ExtractionCost], dict[str, list[KnownTraversal]], list[PairCost]]:
+    """What extractions take, what is known of traversals, and what all steps of each pair take, by short probes."""
+    trials = Trials(manifest.cache / "probes.json")
+    extractions, found = _extractions(manifest, profile, trials, devices, "float32")
+    entries = {cost.method: manifest.method(cost.method) for cost in extractions}
+    layouts = {name: local_features.layout_of(entry) for name, entry in entries.items()}
+    rates = probes.rates(trials, sorted({at.shape for at in layouts.values() if at and not at.bits}))
+    shown = embedded_pair(manifest, profile)
+    pairs = []
+    for cost in extractions:
+        embedded = (cost.method, cost.dataset) == shown
+        pair = costs.sizes(manifest, cost.method, cost.dataset, found[cost.dataset], embedded=embedded)
+        pairs.append(costs.pair_cost(pair, entries[cost.method], cost, rates))
+    return extractions, found, pairs
+
+
 def embedded_pair(manifest: Manifest, profile: str) -> tuple[str, str] | None:
     """Return the method and dataset of Fig. 3: the first single-stage method, and the dataset with mixed maps."""
     entry = manifest.profile(profile)
@@ -113,19 +190,19 @@ def embedded_pair(manifest: Manifest, profile: str) -> tuple[str, str] | None:
 
 def _extractions(
     manifest: Manifest, profile: str, trials: Trials, devices: Sequence[torch.device], precision: str
-) -> tuple[list[ExtractionCost], dict[str, list[Part]]]:
+) -> tuple[list[ExtractionCost], dict[str, list[KnownTraversal]]]:
     entry = manifest.profile(profile)
-    parts = {name: known_parts(manifest, name) for name in entry.datasets}
+    known = {name: known_traversals(manifest, name) for name in entry.datasets}
     found = []
     with tqdm(total=len(entry.methods), unit="method", desc="timing", leave=False, disable=None) as bar:
         for method in entry.methods:
             bar.set_postfix_str(method)
             found += [
-                extraction_cost(manifest, method, name, parts[name], trials, devices, precision)
+                extraction_cost(manifest, method, name, known[name], trials, devices, precision)
                 for name in entry.datasets
             ]
             bar.update()
-    return found, parts
+    return found, known
 
 
 # -- printing -----------------------------------------------------------------------------------------------

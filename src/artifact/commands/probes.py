@@ -15,31 +15,11 @@ import numpy as np
 
 from artifact.extraction import timing
 from artifact.extraction.timing import Trials, best_of
+from artifact.studies.how_fast import synthetic
 
 INLP_ITERATIONS = 35
 
 _REVISION = 2  # raise when a probe measures something else: kept rates are measured anew then
-
-
-def synthetic(n_queries: int, n_database: int, dimension: int, seed: int = 0) -> tuple[np.ndarray, ...]:
-    """Return unit descriptors and positions of a drive of about a metre a frame, with some condition in them.
-
-    Queries share a direction, so that part of the distractors beat the positives, as real distractors do.
-    """
-    rng = np.random.default_rng(seed)
-
-    def unit(x: np.ndarray) -> np.ndarray:
-        return (x / np.linalg.norm(x, axis=1, keepdims=True)).astype(np.float32)
-
-    database = unit(rng.standard_normal((n_database, dimension), dtype=np.float32))
-    along_queries, along_database = np.arange(n_queries) * 1.0, np.linspace(0, n_queries, n_database)
-    nearest = np.searchsorted(along_database, along_queries).clip(max=n_database - 1)
-    noise = unit(rng.standard_normal((n_queries, dimension), dtype=np.float32))
-    condition = unit(rng.standard_normal((1, dimension), dtype=np.float32))
-    strength = rng.uniform(0.05, 0.5, (n_queries, 1)).astype(np.float32)
-    queries = unit(noise + 0.08 * database[nearest] + strength * condition)
-    places = [np.column_stack([along, np.zeros_like(along)]) for along in (along_queries, along_database)]
-    return queries, database, *places
 
 
 def rates(trials: Trials, shapes: Sequence[tuple[int, ...]] = ()) -> dict[str, float | None]:

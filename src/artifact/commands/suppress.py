@@ -10,13 +10,9 @@ import numpy as np
 from artifact import store
 from artifact.datasets import DatasetError
 from artifact.datasets.arrays import read_descriptors
-from artifact.suppression.inlp import INLP
-from artifact.suppression.leace import LEACE
+from artifact.studies import fitted
 from artifact.suppression.loading import load_transform
-from artifact.suppression.lowrank import compose
 from artifact.suppression.std import STD
-
-QUERY, DATABASE = "query", "database"
 
 
 def fit(options: argparse.Namespace) -> Iterator[str]:
@@ -30,12 +26,8 @@ def fit(options: argparse.Namespace) -> Iterator[str]:
     queries, database = (read_descriptors(path).values for path in (options.queries, options.database))
     try:
         X = np.concatenate([queries, database]).astype(np.float32)
-        condition = np.repeat([QUERY, DATABASE], [len(queries), len(database)])
-        if options.method == "STD":
-            STD().fit(X, condition).save(options.save)
-        else:
-            fitted = INLP(seed=options.seed) if options.method == "INLP" else LEACE()
-            compose(fitted.fit(X, condition)).save(options.save)
+        condition = np.repeat(["query", "database"], [len(queries), len(database)])
+        fitted.fit(X, condition, [options.method], seed=options.seed)[options.method].save(options.save)
     except ValueError as error:
         raise DatasetError(str(error)) from None
     yield f"{options.save}: {options.method} fitted on {len(queries)} queries and {len(database)} database images"

@@ -1,15 +1,31 @@
-"""``artifact verify``: stored results against their sidecars, measurements against the paper."""
+"""``artifact verify``: stored results against their records, measurements against the paper; and their repair."""
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from artifact import datasets, store
+from artifact.book import runner
+from artifact.book.build import executed_folder, source_folder
 from artifact.datasets import shipped
 from artifact.manifest import Manifest
 from artifact.methods import weights
 from artifact.methods.weights import lock
 from artifact.studies import reported, verdicts
+
+_ENDINGS = (".npy", ".npz", ".csv", ".ipynb", ".md")  # of stored files that have a record
+_STAGES = ("city", "rehearsal", "appearance", "descriptors", "local_features", "rankings", "notebooks")
+
+
+class Damaged(NamedTuple):
+    """A damaged file or folder, the reason, and its record as far as that is readable."""
+
+    path: Path
+    reason: str
+    record: dict[str, Any]
 
 
 def verify(manifest: Manifest, profile: str) -> tuple[list[str], int]:
@@ -25,26 +41,130 @@ def verify(manifest: Manifest, profile: str) -> tuple[list[str], int]:
     lines
         What was checked, for the user.
     faults
-        Number of damaged files, of changed weights and of measurements that differ from the paper's.
+        Number of damaged files, of changed images and weights and of measurements that differ from the paper's.
     """
-    lines, damaged = _verify_files(manifest.cache)
-    more, shipped_damaged = _verify_files(shipped.folder())
-    weighed, changed = _verify_weights(manifest, profile)
+    lines, faults = [], 0
+    for folder in (manifest.cache, *_pages(manifest), shipped.folder()):
+        checked, damaged = look_at(folder)
+        lines.append(f"{folder}: {checked} stored results, {len(damaged)} damaged")
+        lines += [f"DAMAGED {one.reason}" for one in damaged]
+        faults += len(damaged)
+    if faults:
+        lines.append(
+            "make verify REPAIR=1 (or the option --repair) makes what is damaged anew, and all that was made from it"
+        )
+    changed = changed_files(manifest, manifest.profile(profile).datasets)
+    weighed, heavier = _verify_weights(manifest, profile)
     compared, different = _against_the_paper(manifest, profile)
-    return [*lines, *more, *weighed, *compared], damaged + shipped_damaged + changed + different
+    return [*lines, *changed, *weighed, *compared], faults + len(changed) + heavier + different
 
 
-def _verify_files(folder: Path) -> tuple[list[str], int]:
-    """Recompute the digest of every stored array that has a sidecar."""
-    checked, faults = 0, []
-    for sidecar_path in sorted(folder.rglob("*.json")):
-        arrays = [path for ending in (".npy", ".npz") if (path := sidecar_path.with_suffix(ending)).exists()]
-        sidecar = store.read_json(sidecar_path) if arrays else {}
-        for path in arrays:
-            checked += 1
-            if store.digest_of_file(path) != sidecar.get("sha256"):
-                faults.append(f"DAMAGED {path}: its content differs from its sidecar; delete both and run again")
-    return [f"{folder}: {checked} stored results, {len(faults)} damaged", *faults], len(faults)
+def _pages(manifest: Manifest) -> list[Path]:
+    """Folders of the pages, where there are any outside the cache."""
+    with contextlib.suppress(OSError):
+        folders = [executed_folder(manifest), source_folder(manifest) / "_build" / "html"]
+        return [folder for folder in folders if folder.is_dir() and not folder.is_relative_to(manifest.cache)]
+    return []
+
+
+def look_at(folder: Path) -> tuple[int, list[Damaged]]:
+    """Read everything below a folder that has a record or a checksum; return how many results, and the damaged ones."""
+    results, damaged = 0, []
+    for place in sorted(folder.rglob("*.json")):
+        found = _beside(place)
+        if place == store.record_path(place.parent):
+            found = [place.parent]
+        results += len(found)
+        for path in found:
+            try:
+                store.check(path)
+            except store.StoreError as error:
+                damaged.append(Damaged(path, str(error), _record(place)))
+        if not found:
+            try:
+                store.read_json(place)
+            except store.StoreError as error:
+                damaged.append(Damaged(place, str(error), {}))
+    return results, damaged
+
+
+def _beside(place: Path) -> list[Path]:
+    """Files that a record is of."""
+    return [path for ending in _ENDINGS if (path := place.with_suffix(ending)).exists()]
+
+
+def _record(place: Path) -> dict[str, Any]:
+    with contextlib.suppress(store.StoreError):
+        record = store.read_json(place)
+        return record if isinstance(record, dict) else {}
+    return {}
+
+
+def changed_files(manifest: Manifest, names: Iterable[str]) -> list[str]:
+    """Read all images and given descriptors of some datasets; return a line for each that changed without being written.
+
+    Their digests are forgotten: from now on they count as they are, and rendered ones are rendered again.
+    """
+    lines = []
+    for name in names:
+        if datasets.describe_missing(manifest, name):
+            continue
+        for traversal in runner.load_all(manifest, name):
+            given = [*traversal.descriptors.values(), *traversal.second_stage.values()]
+            files = (
+                traversal.image_paths() if traversal.has_images else [one.path for one in given if one.path is not None]
+            )
+            for path in store.changed_in_silence(files, manifest.cache):
+                lines.append(f"CHANGED   {path}: its content is not what it was, though it was not written since")
+    return lines
+
+
+def repair(manifest: Manifest, profile: str, run: Callable[[], object]) -> Iterator[str]:
+    """Delete what is damaged and all that was made from it, run the profile again, and yield what changed.
+
+    Whatever follows in the order of the stages and shares dataset and method counts as made from it.
+    """
+    folders = [manifest.cache, *_pages(manifest)]
+    damaged = [one for folder in folders for one in look_at(folder)[1]]
+    yield from changed_files(manifest, manifest.profile(profile).datasets)
+    before = {one.path: one.record.get("sha256") for one in damaged}
+    derived = [path for path in _recorded(folders) if any(_is_made_from(path, one, manifest.cache) for one in damaged)]
+    for path in derived:
+        before.setdefault(path, _record(store.record_path(path)).get("sha256"))
+    for path in before:
+        yield f"DELETED   {path}"
+        store.remove(path)
+    run()
+    for path, known in before.items():
+        now = _record(store.record_path(path)).get("sha256") if path.exists() else None
+        yield f"{'NOT NEEDED' if now is None else 'AS BEFORE ' if now == known else 'CHANGED   '} {path}"
+
+
+def _recorded(folders: Iterable[Path]) -> Iterator[Path]:
+    for folder in folders:
+        for place in sorted(folder.rglob("*.json")):
+            yield from _beside(place)
+
+
+def _stage(path: Path, cache: Path) -> int:
+    """Place of a file of the cache in the order of the stages; others come after all of them."""
+    folder = path.relative_to(cache).parts[0] if path.is_relative_to(cache) else ""
+    return _STAGES.index(folder) if folder in _STAGES else len(_STAGES)
+
+
+def _is_made_from(path: Path, damaged: Damaged, cache: Path) -> bool:
+    if not _stage(damaged.path, cache) < _stage(path, cache) < len(_STAGES):
+        return False
+    record = _record(store.record_path(path))
+    return all(
+        not (_named(record, what) and _named(damaged.record, what))
+        or _named(record, what) & _named(damaged.record, what)
+        for what in ("dataset", "method")
+    )
+
+
+def _named(record: dict[str, Any], what: str) -> set[str]:
+    return {*record.get(f"{what}s", []), *filter(None, [record.get(what)])}
 
 
 def _verify_weights(manifest: Manifest, profile: str) -> tuple[list[str], int]:

@@ -35,19 +35,16 @@ CACHE_VARIABLE = "ARTIFACT_CACHE"
 
 @dataclass(frozen=True)
 class Manifest:
-    """A checked manifest.
+    """A checked manifest: its entries by name, in the order of the file ``path``.
 
     Attributes
     ----------
-    path
-        The file it was read from.
     data_root
-        Folder that holds the datasets: ``$ARTIFACT_DATA_ROOT`` if set, else the manifest's ``data_root``
-        (relative to the manifest).
-    datasets, methods, profiles
-        The entries by name, in the order of the file.
+        Folder of the datasets: ``$ARTIFACT_DATA_ROOT``, else the manifest's ``data_root`` (relative to the manifest).
     relative_to
         Folder that paths of own datasets are relative to: the one that a command was typed in.
+    results
+        Stored results that were read or made with this manifest, in order: files in the cache, relative to it.
     """
 
     path: Path
@@ -56,6 +53,7 @@ class Manifest:
     methods: dict[str, MethodEntry]
     profiles: dict[str, ProfileEntry]
     relative_to: Path = field(default_factory=Path.cwd)
+    results: list[str] = field(default_factory=list, compare=False, repr=False)
 
     @property
     def cache(self) -> Path:
@@ -64,23 +62,17 @@ class Manifest:
         return Path(chosen).expanduser().resolve() if chosen else self.path.parent / ".cache"
 
     def dataset(self, name: str) -> DatasetEntry:
-        """Return the entry of a dataset that the manifest names, or that is a folder.
+        """Return the entry of a dataset that the manifest names, or that is a folder below ``relative_to``.
 
-        The path of a folder is relative to ``relative_to``.
-
-        Raises
-        ------
-        ManifestError
-            If ``name`` is neither; or if the folder cannot be used, see
-            :func:`artifact.manifest.layout.entry_of_folder`.
+        Raises :class:`ManifestError` if it is neither, or as :func:`artifact.manifest.layout.entry_of_folder`.
         """
         if name in self.datasets:
             return self.datasets[name]
         folder = self.relative_to / Path(name).expanduser()
         if not folder.is_dir():
             raise ManifestError(
-                f"{self.path}: no dataset {name!r}; the datasets are {quoted(self.datasets)}, and {name!r} is no folder in "
-                f"{self.relative_to} either"
+                f"{self.path}: no dataset {name!r}; the datasets are {quoted(self.datasets)}, "
+                f"and {name!r} is no folder in {self.relative_to} either"
             )
         return entry_of_folder(folder)
 
@@ -93,7 +85,7 @@ class Manifest:
         return _lookup(self.profiles, name, "profile", self.path)
 
     def for_profile(self, name: str) -> Manifest:
-        """Return the manifest as a profile sees it: with made descriptors in the place of images if it asks for them."""
+        """Return the manifest as a profile sees it: with made descriptors in the place of images if it asks so."""
         profile = self.profile(name)
         if not profile.made:
             return self
@@ -118,12 +110,7 @@ def _made(entry: DatasetEntry, root: Path, methods: dict[str, MethodEntry]) -> D
 
 
 def load(path: str | os.PathLike[str] | None = None) -> Manifest:
-    """Read and check a manifest.
-
-    Parameters
-    ----------
-    path
-        The file; by default ``data_manifest.yaml`` in the working folder or the nearest folder above it.
+    """Read and check a manifest, by default the one that :func:`find` returns.
 
     Raises
     ------
@@ -135,15 +122,11 @@ def load(path: str | os.PathLike[str] | None = None) -> Manifest:
     if not path.is_file():
         raise ManifestError(f"{path}: no such file; the manifest is data_manifest.yaml at the top of the repository")
     document = read(path, Document)
-    chosen = os.environ.get(DATA_ROOT_VARIABLE)
-    data_root = Path(chosen).expanduser() if chosen else path.resolve().parent / Path(document.data_root).expanduser()
-    return Manifest(
-        path=path.resolve(),
-        data_root=data_root.resolve(),
-        datasets=document.datasets,
-        methods={name: _with_folder(entry, data_root.resolve()) for name, entry in document.methods.items()},
-        profiles=document.profiles,
-    )
+    path, chosen = path.resolve(), os.environ.get(DATA_ROOT_VARIABLE)
+    data_root = Path(chosen) if chosen else path.parent / Path(document.data_root).expanduser()
+    data_root = data_root.expanduser().resolve()
+    methods = {name: _with_folder(entry, data_root) for name, entry in document.methods.items()}
+    return Manifest(path, data_root, document.datasets, methods, document.profiles)
 
 
 def _with_folder(entry: MethodEntry, data_root: Path) -> MethodEntry:
@@ -153,22 +136,31 @@ def _with_folder(entry: MethodEntry, data_root: Path) -> MethodEntry:
     return entry.model_copy(update={"weights": entry.weights.model_copy(update={"folder": str(folder)})})
 
 
-def find(start: str | os.PathLike[str] | None = None) -> Path:
-    """Return the nearest ``data_manifest.yaml`` in ``start`` (default: the working folder) or above it.
+def find() -> Path:
+    """Return the nearest ``data_manifest.yaml`` in the working folder or above, else the installed repository's.
 
-    If there is none, the manifest of the repository that the package is installed from is taken.
-
-    Raises
-    ------
-    ManifestError
-        If there is none.
+    Raises :class:`ManifestError` if there is none.
     """
-    folder = Path(start or Path.cwd()).resolve()
+    folder = Path.cwd().resolve()
     repository = Path(__file__).resolve().parents[3]
     for candidate in (folder, *folder.parents, repository):
         if (candidate / "data_manifest.yaml").is_file():
             return candidate / "data_manifest.yaml"
     raise ManifestError(f"no data_manifest.yaml in {folder} or above it; run from inside the repository")
+
+
+def refuse_code_from_elsewhere(manifest: Manifest) -> None:
+    """Raise :class:`ManifestError` if a manifest names builders, which are code, and does not belong to this project.
+
+    Those in the folder of the manifest that :func:`find` returns, or below it, belong to it.
+    """
+    builders = [f"methods.{name}: {entry.builder}" for name, entry in manifest.methods.items() if entry.builder]
+    own = find().resolve().parent if builders else None
+    if own is not None and not manifest.path.is_relative_to(own):
+        raise ManifestError(
+            f"{manifest.path}: names code that a run would execute ({', '.join(builders)}), and is not of the project in "
+            f"{own}; read that code, then add --trust to run it"
+        )
 
 
 def _lookup(entries: dict[str, _Entry], name: str, kind: str, path: Path) -> _Entry:

@@ -7,11 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Unit = Literal["metres", "frames", "pairs"]
-
-
 Positions = Literal["csv", "names", "order"]
-
-
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.,+-]*$")]
 
 
@@ -81,22 +77,59 @@ class Source(_Strict):
 
 
 class PaperCounts(_Strict):
-    """Image counts that the paper states; a difference is shown wherever the dataset is used."""
+    """Image counts that the paper states; a difference is shown wherever the dataset is used.
+
+    ``choices`` names what the paper leaves open and the counts depend on, to be shown with a difference.
+    """
 
     queries: int = Field(gt=0)
     database: int = Field(gt=0)
     evaluated: int | None = Field(default=None, gt=0)
+    choices: str = ""
+
+
+class PublishedFile(_Strict):
+    """A file as the owners of a dataset publish it, or several that differ by traversal and part.
+
+    ``file`` may hold ``{traversal}`` and ``{part:02}``, which runs from 1 to ``parts``. ``urls`` are tried in order; without
+    any, a person puts the file into the folder of downloads. ``sha256`` and ``size`` in bytes are given where they are
+    known, else the first file is recorded in a lock file; ``megabytes`` is an estimate for each. ``traversals`` need it
+    (default: all), and those alone whose preparation has one of the values in ``when``.
+    """
+
+    file: str = Field(pattern=r"^[A-Za-z0-9{][A-Za-z0-9_.,+(){}:-]*$")
+    parts: int | None = Field(default=None, gt=0)
+    urls: list[Annotated[str, Field(pattern=r"^https?://[^\s]+$")]] = []
+    size: int | None = Field(default=None, gt=0)
+    sha256: str | None = Field(default=None, pattern=r"^[0-9a-f]{64}$")
+    megabytes: float | None = Field(default=None, gt=0)
+    traversals: list[Name] = []
+    when: dict[str, list[Any]] = {}
+
+
+class PreparationEntry(_Strict):
+    """How the published files of a dataset become its traversals.
+
+    ``recipe`` is the dataset whose published form the files have; ``parameters`` are those of the recipe.
+    ``used_as_unpacked`` says that an unpacked archive is a dataset already, so that a folder made by hand may be used.
+    """
+
+    recipe: Literal["amstertime", "gardens_point", "nordland", "robotcar", "st_lucia", "svox"]
+    files: list[PublishedFile] = Field(min_length=1)
+    parameters: dict[str, Any] = {}
+    used_as_unpacked: bool = False
 
 
 class DatasetEntry(_Strict):
     """A query traversal, a database traversal and the threshold between them.
 
     ``distractor_traversals`` offer pools of further conditions (paper Fig. 7). ``same_condition_traversal`` has the
-    query's kind of condition; some of its frames join the database in the maps (Figs. 2 and 9).
-    ``by_name`` pairs frames by their file names (without endings) where a traversal lacks some, instead of by their order.
+    query's kind of condition; some of its frames join the database in the maps (Figs. 2 and 9). ``by_name`` pairs
+    frames by their file names (without endings) where a traversal lacks some, instead of by their order.
     ``irrelevant_pairs`` are query–database pairs of conditions that no transform is fitted on (Table V).
     ``coordinates`` names the frame that positions are in, for datasets that share places; default: the ``root``.
-    ``reported_as`` is the paper's name of the dataset, where its numbers can be compared.
+    ``reported_as`` is the paper's name of the dataset, where its numbers can be compared. ``preparation`` makes the
+    traversals from published files; ``citation`` and ``licence`` are those of the images.
     """
 
     title: str
@@ -115,7 +148,9 @@ class DatasetEntry(_Strict):
     irrelevant_pairs: list[Annotated[list[Name], Field(min_length=2, max_length=2)]] = []
     sources: list[Source] = []
     licence: str = "not stated"
+    citation: str = ""
     obtain: str = ""
+    preparation: PreparationEntry | None = None
     reported_as: str | None = None
     paper: PaperCounts | None = None
 
@@ -123,16 +158,13 @@ class DatasetEntry(_Strict):
     def _traversals_exist(self) -> DatasetEntry:
         if self.kind == "made":
             raise ValueError("found kind 'made', which a profile with 'made: true' makes; allowed: 'folder' or 'city'")
-        named = {"query": [self.query], "database": [self.database]}
-        named["distractor_traversals"] = self.distractor_traversals
-        named["same_condition_traversal"] = [self.same_condition_traversal] if self.same_condition_traversal else []
-        named["irrelevant_pairs"] = [name for pair in self.irrelevant_pairs for name in pair]
-        for key, names in named.items():
-            for name in names:
-                if name not in self.traversals:
-                    raise ValueError(
-                        f"{key} names the traversal {name!r}; the traversals are {quoted(self.traversals)}"
-                    )
+        named = [("query", self.query), ("database", self.database)]
+        named += [("distractor_traversals", name) for name in self.distractor_traversals]
+        named += [("same_condition_traversal", name) for name in (self.same_condition_traversal,) if name]
+        named += [("irrelevant_pairs", name) for pair in self.irrelevant_pairs for name in pair]
+        for key, name in named:
+            if name not in self.traversals:
+                raise ValueError(f"{key} names the traversal {name!r}; the traversals are {quoted(self.traversals)}")
         for name, traversal in self.traversals.items():
             if (self.kind == "city") != (traversal.render is not None):
                 need = "needs" if self.kind == "city" else "cannot have"
@@ -166,9 +198,8 @@ class Preprocessing(_Strict):
         if (self.resize == "fixed") != (self.size is not None):
             raise ValueError("resize 'fixed' needs the key 'size' (height and width), resize 'native' cannot have it")
         if self.library == "pillow" and not self.antialias:
-            raise ValueError(
-                "library 'pillow' always filters before shrinking; for antialias: false use library 'tensor'"
-            )
+            remedy = "for antialias: false use library 'tensor'"
+            raise ValueError(f"library 'pillow' always filters before shrinking; {remedy}")
         channels = 3 if self.colour == "rgb" else 1
         if not len(self.mean) == len(self.std) == channels:
             raise ValueError(f"colour {self.colour!r} needs {channels} values of mean and std")
@@ -210,11 +241,8 @@ class WeightsEntry(_Strict):
 
     @model_validator(mode="after")
     def _files_differ(self) -> WeightsEntry:
-        named_twice: list[tuple[str, list[str | None]]] = [
-            ("file", [f.file for f in self.files]),
-            ("tensor", [f.tensor for f in self.files]),
-        ]
-        for what, values in named_twice:
+        for what in ("file", "tensor"):
+            values = [getattr(file, what) for file in self.files]
             for value in values:
                 if values.count(value) > 1:
                     named = f"{what} {value!r}" if value else "a file without the key 'tensor'"
@@ -240,6 +268,9 @@ class MethodEntry(_Strict):
     this library. ``weights`` are loaded into the model; a method of kind ``paper`` does not run without them, unless
     its builder brings its own. ``batch_dependent`` marks models whose descriptors depend on which images share a batch.
 
+    Methods of the same ``trunk`` differ in what they make of its features alone: one pass through it describes images by all
+    of them.
+
     ``rerank`` is the number of candidates that a two-stage method ranks again. With ``local_features``, descriptors
     find the candidates and mutual nearest local features rank them (SelaVPR); with ``code_bits``, hash codes of that
     length find them by Hamming distance and descriptors rank them (SelaVPR++).
@@ -257,6 +288,7 @@ class MethodEntry(_Strict):
     preprocessing: Preprocessing
     batch_size: int = Field(default=16, gt=0)
     batch_dependent: bool = False
+    trunk: Name | None = None
     builder: str | None = Field(default=None, pattern=r"^[\w.]+:\w+$")
     weights: WeightsEntry | None = None
     licence: str = "not stated"
@@ -265,10 +297,11 @@ class MethodEntry(_Strict):
     def _second_stage_is_one(self) -> MethodEntry:
         named = [key for key in ("local_features", "code_bits") if getattr(self, key) is not None]
         if len(named) > 1 or (named and self.rerank is None):
-            raise ValueError(
-                f"found {' and '.join(named)} {'without rerank' if self.rerank is None else 'together'}; a two-stage "
-                f"method has rerank and one of local_features and code_bits"
-            )
+            found = f"{' and '.join(named)} {'without rerank' if self.rerank is None else 'together'}"
+            needed = "a two-stage method has rerank and one of local_features and code_bits"
+            raise ValueError(f"found {found}; {needed}")
+        if self.trunk is not None and (self.rerank or self.builder or self.weights or self.batch_dependent):
+            raise ValueError("a method with trunk has none of the keys rerank, builder, weights and batch_dependent")
         return self
 
 
@@ -301,6 +334,18 @@ class Document(_Strict):
                 for entry in getattr(profile, kind):
                     if entry not in known:
                         raise ValueError(f"profiles.{name}.{kind} names {entry!r}; the {kind} are {quoted(known)}")
+        return self
+
+    @model_validator(mode="after")
+    def _methods_of_a_trunk_see_the_same(self) -> Document:
+        first: dict[str, str] = {}
+        for name, method in self.methods.items():
+            other = first.setdefault(method.trunk, name) if method.trunk else name
+            for key in ("preprocessing", "batch_size"):
+                if getattr(method, key) != getattr(self.methods[other], key):
+                    raise ValueError(
+                        f"methods.{name} and methods.{other} have the same trunk: their {key} must be equal"
+                    )
         return self
 
 

@@ -34,9 +34,8 @@ def _compose(path: Path) -> yaml.Node:
     except UnicodeDecodeError as error:
         raise ManifestError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from None
     if not isinstance(node, yaml.MappingNode):
-        raise ManifestError(
-            f"{path}: found an empty or plain document; allowed: a mapping with the keys {quoted(Document.model_fields)}"
-        )
+        allowed = f"a mapping with the keys {quoted(Document.model_fields)}"
+        raise ManifestError(f"{path}: found an empty or plain document; allowed: {allowed}")
     return node
 
 
@@ -47,11 +46,10 @@ def _plain(node: yaml.Node, path: Path) -> Any:
         result = {}
         for key_node, value_node in node.value:
             key = _plain(key_node, path)
+            line = key_node.start_mark.line + 1
             if key in seen:
-                raise ManifestError(
-                    f"{path}:{key_node.start_mark.line + 1}: the key {key!r} is already on line {seen[key]}"
-                )
-            seen[key] = key_node.start_mark.line + 1
+                raise ManifestError(f"{path}:{line}: the key {key!r} is already on line {seen[key]}")
+            seen[key] = line
             result[key] = _plain(value_node, path)
         return result
     if isinstance(node, yaml.SequenceNode):
@@ -60,10 +58,8 @@ def _plain(node: yaml.Node, path: Path) -> Any:
     try:
         return loader.construct_object(node)
     except yaml.YAMLError:
-        line = node.start_mark.line + 1
-        raise ManifestError(
-            f"{path}:{line}: found {node.value!r} with the tag {node.tag}; allowed: plain text, numbers, true, false, null"
-        ) from None
+        found = f"{path}:{node.start_mark.line + 1}: found {node.value!r} with the tag {node.tag}"
+        raise ManifestError(f"{found}; allowed: plain text, numbers, true, false, null") from None
     finally:
         loader.dispose()
 
@@ -111,12 +107,7 @@ def _fields_at(model: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
             annotation = annotation.model_fields[str(part)].annotation
         else:
             annotation = get_args(annotation)[-1]
-        annotation = (
-            next(
-                (a for a in get_args(annotation) if isinstance(a, type) and issubclass(a, BaseModel)),
-                annotation,
-            )
-            if get_origin(annotation) in (Union, UnionType)
-            else annotation
-        )
+        if get_origin(annotation) in (Union, UnionType):
+            models = (a for a in get_args(annotation) if isinstance(a, type) and issubclass(a, BaseModel))
+            annotation = next(models, annotation)
     return list(annotation.model_fields)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 from artifact.manifest.entries import DatasetEntry, ManifestError, Positions, Threshold, TraversalEntry
 from artifact.manifest.faults import read
@@ -14,6 +15,18 @@ UTM_NAME = re.compile(r"@(?P<east>-?\d+\.?\d*)@(?P<north>-?\d+\.?\d*)@(?:(?P<zon
 """``@utm_east@utm_north@`` in a file name, perhaps with the zone behind it."""
 
 DESCRIPTION = "dataset.yaml"
+_COLUMNS = {
+    "image": ("image", "name", "file", "filename"),
+    "x": ("x", "east", "easting", "utm_east"),
+    "y": ("y", "north", "northing", "utm_north"),
+    "z": ("z",),
+    "latitude": ("latitude", "lat"),
+    "longitude": ("longitude", "lon", "lng"),
+    "index": ("index", "frame"),
+}
+KINDS = {"metres": ("x", "y"), "degrees": ("latitude", "longitude"), "index": ("index",)}
+"""Columns that positions of each kind need."""
+
 _QUERY_FOLDERS = ("queries", "query")
 _DATABASE_FOLDERS = ("database", "gallery")
 
@@ -22,13 +35,9 @@ def entry_of_folder(folder: Path) -> DatasetEntry:
     """Return the entry of a dataset that is a folder.
 
     The folder describes itself in ``dataset.yaml`` (the same keys as a manifest entry), or has the sub-folders
-    ``queries`` and ``database`` (or ``gallery``): then positions come from ``positions.csv`` in each or one beside them, else
-    from ``@utm_east@utm_north@`` file names, else from the frame order, and the threshold is 25 m, or 1 frame.
-
-    Raises
-    ------
-    ManifestError
-        If the description has a fault, or the layout is another one.
+    ``queries`` and ``database`` (or ``gallery``): then positions come from ``positions.csv`` in each or one beside
+    them, else from ``@utm_east@utm_north@`` file names, else from the frame order, and the threshold is 25 m, or 1
+    frame. Raises :class:`ManifestError` if the description has a fault, or the layout is another one.
     """
     folder = folder.resolve()
     if (folder / DESCRIPTION).is_file():
@@ -40,9 +49,8 @@ def entry_of_folder(folder: Path) -> DatasetEntry:
     if beside:
         sources = dict.fromkeys(sources, "csv")
     if len(set(sources.values())) != 1:
-        raise ManifestError(
-            f"{folder}: {query} and {database} have different kinds of positions: {', '.join(sorted(sources.values()))}"
-        )
+        kinds = ", ".join(sorted(sources.values()))
+        raise ManifestError(f"{folder}: {query} and {database} have different kinds of positions: {kinds}")
     source = sources[query]
     file = folder / (beside or f"{query}/{POSITIONS_FILE}")
     in_frames = source == "order" or (source == "csv" and has_index(file))
@@ -54,9 +62,7 @@ def entry_of_folder(folder: Path) -> DatasetEntry:
         query=query,
         database=database,
         shift=f"{query}→{database}",
-        traversals={
-            part: TraversalEntry(condition=part, positions=source, positions_file=beside) for part in (query, database)
-        },
+        traversals={p: TraversalEntry(condition=p, positions=source, positions_file=beside) for p in (query, database)},
     )
 
 
@@ -73,28 +79,64 @@ def _one_of(folder: Path, candidates: tuple[str, ...]) -> str:
 def positions_source(images: Path) -> Positions:
     """Say where the positions of a folder of images come from if nobody says it.
 
-    Raises
-    ------
-    ManifestError
-        If some of the names hold positions and others do not.
+    Raises :class:`ManifestError` if some of the names hold positions and others do not.
     """
     if (images / POSITIONS_FILE).is_file():
         return "csv"
-    names = sorted(path.name for path in images.rglob("[!.]*") if path.suffix.lower() in IMAGE_SUFFIXES)
+    names = sorted(Path(name).name for name in files_below(images)[0])
     without = [name for name in names if not UTM_NAME.search(name)]
     if without and len(without) < len(names):
         raise ManifestError(
-            f"{images}: {len(names) - len(without)} of {len(names)} names hold @utm_east@utm_north@, {without[0]!r} does not; "
-            f"rename it, write {POSITIONS_FILE}, or say 'positions: order' in {DESCRIPTION}"
+            f"{images}: {len(names) - len(without)} of {len(names)} names hold @utm_east@utm_north@, "
+            f"{without[0]!r} does not; rename it, write {POSITIONS_FILE}, or say 'positions: order' in {DESCRIPTION}"
         )
     return "order" if without or not names else "names"
 
 
+def files_below(folder: Path) -> tuple[list[str], list[str]]:
+    """Return the names, relative to a folder, of the images below it and of the other files, in no order.
+
+    Hidden files and the folders ``__MACOSX`` that some archives hold are passed over.
+    """
+    images: list[str] = []
+    others: list[str] = []
+    for path in folder.rglob("*"):
+        name = path.relative_to(folder)
+        if not any(part.startswith((".", "__MACOSX")) for part in name.parts) and path.is_file():
+            (images if path.suffix.lower() in IMAGE_SUFFIXES else others).append(name.as_posix())
+    return images, others
+
+
+class Header(NamedTuple):
+    """The header of a positions file: where each known column stands, and what the positions are.
+
+    ``kind`` is one of :data:`KINDS`, or ``None`` without the columns of any.
+    """
+
+    separator: str
+    columns: list[str]
+    at: dict[str, int]
+    kind: str | None
+
+
+def header_of(line: str) -> Header:
+    """Read the first line of a positions file; columns are known by several names.
+
+    Examples
+    --------
+    >>> header_of("Name;North;East").at
+    {'image': 0, 'x': 2, 'y': 1}
+    """
+    separator = max(",;\t", key=line.count)
+    columns = [column.strip().strip('"').lower() for column in line.split(separator)]
+    at = {name: columns.index(alias) for name, known in _COLUMNS.items() for alias in known[::-1] if alias in columns}
+    kind = next((kind for kind, needed in KINDS.items() if all(name in at for name in needed)), None)
+    return Header(separator, columns, at, kind)
+
+
 def has_index(path: Path) -> bool:
     """Say whether a positions file holds frame indices and no metres."""
-    header = re.split(r"[,;\t]", text_of(path).partition("\n")[0].lower())
-    names = {column.strip().strip('"') for column in header}
-    return bool(names & {"index", "frame"}) and not names & {"x", "latitude", "lat", "east", "easting", "utm_east"}
+    return header_of((text_of(path).splitlines() or [""])[0]).kind == "index"
 
 
 def text_of(path: Path) -> str:
