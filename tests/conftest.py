@@ -12,6 +12,8 @@ import pytest
 import yaml
 from PIL import Image
 
+collect_ignore = ["mutants.py"]  # a program of maintainers, which needs the extra of that name
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 THUMBNAIL = {
@@ -134,32 +136,62 @@ STREET = {
 }
 
 
-def artifact(project, *arguments):
-    """Run the command line in the project; returns status and output."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("ARTIFACT_")}
+def artifact(project, *arguments, **variables):
+    """Run the command line in the project, with further environment variables; returns status and output."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("ARTIFACT_")} | variables
     command = [sys.executable, "-m", "artifact", *arguments]
     done = subprocess.run(
-        command, cwd=project, env=environment, capture_output=True, text=True, check=False, timeout=600
+        command, cwd=project, env=environment, capture_output=True, text=True, check=False, timeout=1200
     )
     return done.returncode, done.stdout + done.stderr
+
+
+def copy_book(project):
+    """Copy the notebooks and the book's own files, without what was built from them."""
+    for part in ("notebooks", "book"):
+        built = shutil.ignore_patterns("_build", "executed", "__pycache__")
+        shutil.copytree(REPOSITORY / part, project / part, ignore=built)
+
+
+def write_drive(project, n):
+    """Write the images and positions of the dataset :data:`DRIVE`."""
+    for name, brightness in (("day", 0), ("night", -70), ("dusk", -20), ("night_2", -71)):
+        folder = project / "data" / "drive" / name
+        write_images(folder, n, seed=4, brightness=brightness, noise=25)
+        rows = [f"frame{i}.png,{12.0 * i + abs(brightness) / 20:.1f},0" for i in range(n)]
+        (folder / "positions.csv").write_text("\n".join(["image,x,y", *rows]) + "\n")
 
 
 @pytest.fixture(scope="session")
 def tiny(tmp_path_factory):
     """A project folder in which `reproduce` has run once; with what it printed."""
     project = tmp_path_factory.mktemp("tiny")
-    for part in ("notebooks", "book"):
-        shutil.copytree(
-            REPOSITORY / part, project / part, ignore=shutil.ignore_patterns("_build", "executed", "__pycache__")
-        )
-    for name, brightness in (("day", 0), ("night", -70), ("dusk", -20), ("night_2", -71)):
-        folder = project / "data" / "drive" / name
-        write_images(folder, 40, seed=4, brightness=brightness, noise=25)
-        rows = [f"frame{i}.png,{12.0 * i + abs(brightness) / 20:.1f},0" for i in range(40)]
-        (folder / "positions.csv").write_text("\n".join(["image,x,y", *rows]) + "\n")
+    copy_book(project)
+    write_drive(project, 40)
     for name, brightness in (("day", 0), ("night", -60)):
         write_images(project / "data" / "street" / name, 30, seed=6, brightness=brightness, noise=25)
     write_manifest(project, tiny_manifest(drive=DRIVE, street=STREET))
     status, output = artifact(project, "reproduce", "--jobs", "2")
     assert status == 0, output
     return project, output
+
+
+@pytest.fixture(scope="session")
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if program is None:  # continuous integration must not skip these tests
+        told = pytest.fail if os.environ.get("ARTIFACT_REQUIRE_BROWSER") else pytest.skip
+        told("needs Chromium; on Debian: apt install chromium")
+    with sync_playwright() as playwright:
+        options = [
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+        ]
+        chromium = playwright.chromium.launch(executable_path=program, args=options)
+        yield chromium
+        chromium.close()

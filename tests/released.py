@@ -14,9 +14,9 @@ import torch
 from conftest import THUMBNAIL
 from torch import nn
 
+from artifact.datasets import download
 from artifact.manifest.entries import MethodEntry
 from artifact.methods import weights
-from artifact.methods.weights import download
 
 
 @dataclass

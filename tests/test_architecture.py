@@ -1,6 +1,8 @@
 """Data flows one way: no module imports from a later stage, none imports in a circle, and the town knows no artifact."""
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -87,6 +89,11 @@ def test_the_town_imports_nothing_of_the_library():
         for other in IMPORTS[module]
         if other.split(".")[0] == "artifact"
     ]
+
+
+def test_a_page_that_shows_stored_results_does_not_wait_for_torch():
+    code = "import sys; from artifact import pages, studies; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_the_formatter_decides_everywhere():

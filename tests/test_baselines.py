@@ -1,17 +1,20 @@
-"""The three embedded descriptors against their definitions."""
+"""The embedded descriptors against their definitions."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from conftest import REPOSITORY, tiny_manifest, write_manifest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from artifact import methods
+from artifact import datasets, manifest, methods, store
 from artifact.datasets.images import UnreadableImageError, read_image
-from artifact.manifest.entries import Preprocessing
+from artifact.extraction import extract, jobs
+from artifact.manifest.entries import ManifestError, Preprocessing
 from artifact.methods import efficientnet_lite
 from artifact.methods.hog import HOG
 from artifact.methods.preprocessing import prepare, target_size
@@ -87,7 +90,9 @@ def test_hog_does_not_see_brightness_contrast_or_negatives():
 def test_efficientnet_loads_every_weight_of_the_shipped_checkpoint_and_describes_any_size():
     model = efficientnet_lite.efficientnet_lite0()
     state = torch.load(efficientnet_lite.weights_path(), map_location="cpu", weights_only=True)
-    assert set(model.state_dict()) == {name for name in state if not name.startswith("_fc.")}
+    unfolded = efficientnet_lite.EfficientNetLite0()
+    assert set(unfolded.state_dict()) == {name for name in state if not name.startswith("_fc.")}
+    assert not [part for part in model.modules() if isinstance(part, torch.nn.BatchNorm2d)]
     with torch.inference_mode():
         for size in ((64, 96), (75, 131)):
             out = model(torch.zeros(2, 3, *size))
@@ -125,6 +130,71 @@ def test_efficientnet_pools_by_the_generalised_mean(exponent):
     values = maps[0].clamp(min=1e-6).double().flatten(2)
     pooled = (values**exponent).mean(dim=2) ** (1 / exponent)
     np.testing.assert_allclose(out, pooled / pooled.norm(dim=1, keepdim=True), atol=1e-5)
+
+
+def test_folding_normalisations_leaves_the_function_as_it_is():
+    torch.manual_seed(0)
+    model = efficientnet_lite.EfficientNetLite0()
+    for part in model.modules():
+        if isinstance(part, torch.nn.BatchNorm2d):
+            part.running_mean.normal_(0, 0.2)
+            part.running_var.uniform_(0.5, 2)
+            part.weight.data.uniform_(0.5, 2)
+            part.bias.data.normal_()
+    images = torch.rand(2, 3, 64, 96)
+    with torch.inference_mode():
+        expected = model.eval().maps(images)
+        found = efficientnet_lite.folded(model).maps(images)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, atol=2e-4, rtol=2e-4)
+
+
+def middle_map(seed, height=12, width=16):
+    maps = torch.from_numpy(np.random.default_rng(seed).normal(size=(2, 112, height, width)).astype(np.float32))
+    return efficientnet_lite.Maps(maps, maps)
+
+
+def test_vlad_sums_residuals_to_the_nearest_word():
+    words = np.random.default_rng(1).normal(size=(5, 112)).astype(np.float32)
+    words /= 2 * np.linalg.norm(words, axis=1, keepdims=True)
+    maps = middle_map(2)
+    found = efficientnet_lite.EfficientNetLite0VLAD(torch.from_numpy(words)).head(maps).numpy()
+    for image, descriptor in zip(maps.middle.numpy(), found, strict=True):
+        expected = np.zeros((5, 112))
+        for feature in image.reshape(112, -1).T:
+            feature = feature / np.linalg.norm(feature)
+            expected[np.argmax(words @ feature)] += feature - words[np.argmax(words @ feature)]
+        expected /= np.maximum(np.linalg.norm(expected, axis=1, keepdims=True), 1e-12)
+        np.testing.assert_allclose(descriptor, expected.ravel() / np.linalg.norm(expected), atol=1e-5)
+
+
+def test_the_grid_keeps_means_of_four_by_four_cells():
+    maps = middle_map(3)
+    found = efficientnet_lite.EfficientNetLite0Grid().head(maps).numpy()
+    cells = maps.middle.numpy().reshape(2, 112, 4, 3, 4, 4).mean(axis=(3, 5)).reshape(2, 112, 16).transpose(0, 2, 1)
+    cells /= np.linalg.norm(cells, axis=2, keepdims=True)
+    np.testing.assert_allclose(found, cells.reshape(2, -1) / 4, atol=1e-5)
+
+
+def test_the_vocabulary_ships_with_its_record():
+    path = Path(methods.__file__).parent / efficientnet_lite.VOCABULARY
+    words, record = np.load(path), store.read_json(path.with_suffix(".json"))
+    assert (words.shape, words.dtype) == ((16, 112), np.float32)
+    assert record["sha256"] == store.digest_of_file(path)
+    assert len(record["images"]) == 2
+
+
+def test_methods_of_a_trunk_are_described_by_one_pass_as_each_alone():
+    loaded = manifest.load(REPOSITORY / "data_manifest.yaml")
+    entries = methods.of_trunk(loaded, "efficientnet_lite0_vlad")
+    assert list(entries) == ["efficientnet_lite0", "efficientnet_lite0_vlad", "efficientnet_lite0_grid"]
+    assert list(methods.of_trunk(loaded, "hog")) == ["hog"]
+    images = torch.rand(2, 3, 64, 96)
+    with torch.inference_mode():
+        for (name, entry), found in zip(entries.items(), methods.shared(entries)(images), strict=True):
+            assert found.shape == (2, entry.dimension)
+            np.testing.assert_allclose(found, methods.build(name)(images), atol=1e-6)
+            np.testing.assert_allclose(found.norm(dim=1), 1, atol=1e-5)
 
 
 def test_building_by_name():
@@ -191,3 +261,40 @@ def test_unreadable_images_are_named(tmp_path):
             path.write_bytes(content)
         with pytest.raises(UnreadableImageError, match="a.png"):
             read_image(path)
+
+
+def test_images_go_through_a_trunk_once_for_all_its_methods(project, monkeypatch):
+    shipped = manifest.load(REPOSITORY / "data_manifest.yaml")
+    content = tiny_manifest()
+    for name in methods.of_trunk(shipped, "efficientnet_lite0"):
+        entry = shipped.method(name).model_dump(exclude_none=True)
+        entry["preprocessing"] |= {"size": [64, 96]}
+        content["methods"][name] = entry | {"batch_size": 4}
+    loaded = manifest.load(write_manifest(project, content))
+    traversal = datasets.load_traversal(loaded, "street", "day")
+    described, original = [], efficientnet_lite.EfficientNetLite0.maps
+
+    def counting(self, images):
+        described.append(len(images))
+        return original(self, images)
+
+    monkeypatch.setattr(efficientnet_lite.EfficientNetLite0, "maps", counting)
+    assert [job.method for job in jobs.jobs_of(loaded, traversal, "efficientnet_lite0_grid")] == ["efficientnet_lite0"]
+    found = {
+        name: extract.descriptors(loaded, traversal, name, workers=0)
+        for name in ("efficientnet_lite0_grid", "efficientnet_lite0", "efficientnet_lite0_vlad")
+    }
+    assert described == [4, 4, 4]
+    for name, one in found.items():
+        images = [prepare(read_image(path), loaded.method(name).preprocessing) for path in traversal.image_paths()]
+        with torch.inference_mode():
+            np.testing.assert_allclose(one.values, methods.build(name)(torch.stack(images)), atol=1e-5)
+        assert one.sidecar["method"] == name
+
+
+def test_methods_of_a_trunk_must_see_the_same_images(project):
+    content = tiny_manifest()
+    content["methods"]["hog"] |= {"trunk": "shared"}
+    content["methods"]["thumbnail"] |= {"trunk": "shared"}
+    with pytest.raises(ManifestError, match="the same trunk: their preprocessing must be equal"):
+        manifest.load(write_manifest(project, content))

@@ -13,7 +13,7 @@ from test_methods_parity import METHODS, golden, unused_by_anyloc
 
 from artifact import INLP, LEACE, evaluate
 from artifact.extraction import forward
-from artifact.ranking.matching_torch import match_count
+from artifact.ranking.matching import match_count
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device; this machine has none")
 CUDA = torch.device("cuda")

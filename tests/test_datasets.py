@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from artifact import datasets, manifest
-from artifact.datasets import DatasetError, folder
+from artifact.datasets import DatasetError
+from artifact.datasets.positions import keep_spacing
 from artifact.manifest.entries import ManifestError
 
 
@@ -216,7 +217,7 @@ def test_the_digest_follows_bytes_names_and_order(project):
 @given(st.lists(st.floats(0, 3), min_size=1, max_size=60), st.floats(0.1, 5))
 def test_spacing_keeps_the_first_frame_and_then_every_frame_far_enough(steps, spacing):
     positions = np.cumsum(steps)[:, None]
-    kept = folder.keep_spacing(positions, spacing)
+    kept = keep_spacing(positions, spacing)
     assert kept[0] == 0
     gaps = np.diff(positions[kept, 0])
     assert (gaps >= spacing).all()

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from released import names_in, running
 
-from artifact.methods.weights import download
-from artifact.methods.weights.download import DownloadError
+from artifact.datasets import download
+from artifact.datasets.download import DownloadError
 
 
 @pytest.fixture
@@ -184,7 +184,8 @@ def test_a_file_comes_from_the_first_mirror_that_has_the_right_one(tmp_path, ser
     ("known", "message"),
     [
         ({"sha256": "0" * 64}, f"does not match the known hash: expected {'0' * 64}"),
-        ({"size": 3}, "bytes 65536, the manifest says 3"),
+        ({"size": 3}, "more than the 3 bytes that the manifest says"),
+        ({"size": 70_000}, "bytes 65536, the manifest says 70000"),
         ({"accept": lambda _: (_ for _ in ()).throw(DownloadError("not this one"))}, "not this one"),
     ],
 )

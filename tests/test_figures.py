@@ -137,7 +137,7 @@ def test_scores_are_in_their_own_unit():
 
 
 def test_maps_are_seen_from_above():
-    from artifact.datasets.folder import earth_centred
+    from artifact.datasets.positions import earth_centred
 
     latitude, longitude = 48.0 + np.array([0, 0, 1e-3]), 11.0 + np.array([0, 1e-3, 0])
     positions = earth_centred(latitude, longitude)

@@ -6,18 +6,32 @@ two baselines. Everything goes through the command line, as the Makefile calls i
 
 import re
 import shutil
+from dataclasses import replace
+from html import unescape
 
 import nbformat
-import numpy as np
 import pytest
 import yaml
-from conftest import DRIVE, artifact, tiny_manifest, write_images, write_manifest
+from conftest import DRIVE, artifact, copy_book, tiny_manifest, write_images, write_manifest
 
-from artifact.book import parameters
+from artifact import manifest
+from artifact.book import build, parameters
 
 
 def executed(project):
     return {path.stem: nbformat.read(path, as_version=4) for path in (project / "book" / "executed").glob("*.ipynb")}
+
+
+def own(project, name):
+    """The pages that were made of a notebook with other parameters than the profile's, as texts."""
+    return [nbformat.writes(page) for stem, page in executed(project).items() if stem.startswith(f"{name}-")]
+
+
+@pytest.fixture(autouse=True)
+def own_pages_go_with_their_test(tiny):
+    yield
+    for path in (tiny[0] / "book" / "executed").glob("*-*"):
+        path.unlink()
 
 
 def counts(output):
@@ -29,6 +43,9 @@ def test_every_notebook_ran_and_every_page_is_there(tiny):
     project, output = tiny
     names = {path.stem for path in (project / "notebooks").glob("*.py")}
     assert counts(output) == (len(names), 0)
+    assert re.search(
+        r"(?m)^notebooks +\d+ s\n  rank +\d+ s of all processes\n  fit +\d+ s of all processes\nbook +\d+ s$", output
+    )
     assert set(executed(project)) == names
     html = project / "book" / "_build" / "html"
     assert (html / "index.html").exists()
@@ -75,16 +92,37 @@ def test_a_second_run_reuses_everything(tiny):
     assert {path: path.read_bytes() for path in before} == before
 
 
-def test_a_changed_parameter_reruns_only_its_notebook(tiny):
+def test_a_changed_parameter_makes_one_page_beside_the_one_with_the_defaults(tiny):
     project, output = tiny
     total = sum(counts(output))
-    status, output = artifact(project, "run", "-p", "fig06.seed=3")
-    assert (status, *counts(output)) == (0, 1, total - 1)
-    assert "'seed'" in nbformat.writes(executed(project)["fig06"]) or "seed = 3" in nbformat.writes(
-        executed(project)["fig06"]
-    )
+    before = executed(project)
+    status, output = artifact(project, "reproduce", "-p", "tab01.datasets=street")
+    assert (status, *counts(output)) == (0, 1, total)
+    after = executed(project)
+    assert {name: after[name] for name in before} == before
+    (page,) = own(project, "tab01")
+    assert "One of your runs" in page
+    assert "make reproduce SET='tab01.datasets=[\"street\"]'" in unescape(page)
+    html = project / "book" / "_build" / "html" / "executed"
+    name = next(html.glob("tab01-*.html")).stem
+    listed = (html / "tab03.html").read_text()
+    assert "Your runs" in listed
+    assert f'href="{name}.html"' in listed
     status, output = artifact(project, "run")
     assert (status, *counts(output)) == (0, 0, total)
+
+
+def test_a_run_of_ones_own_needs_nothing_of_the_profile(tmp_path):
+    """Its data may be missing: then its page says so."""
+    copy_book(tmp_path)
+    write_manifest(tmp_path, tiny_manifest(avenue=DRIVE | {"obtain": "Ask the author."}))
+    for part, brightness in (("queries", 0), ("database", -50)):
+        write_images(tmp_path / "mine" / part, 12, seed=9, brightness=brightness)
+    status, output = artifact(tmp_path, "run", "--only", "tab01", "-p", "datasets=mine")
+    assert status == 0, output
+    pages = executed(tmp_path)
+    assert "Ask the author" in nbformat.writes(pages["tab01"])
+    assert len(own(tmp_path, "tab01")) == 1
 
 
 def test_changed_data_reruns_the_notebooks_that_use_it(tiny):
@@ -135,10 +173,10 @@ def test_a_page_that_no_dataset_suits_says_so_and_fails_nothing(tiny):
         assert status == 0, output
         page = nbformat.writes(executed(project)["fig07"])
         assert "Nothing to show in this run" in page
-        assert "distractor_traversals" in page
+        assert "distractor_traversals" in page.replace("\\", "")
         status, output = artifact(project, "run", "--profile", "frames", "--only", "fig07", "-p", "dataset=street")
         assert status == 0, output
-        assert "'street' is not one" in nbformat.writes(executed(project)["fig07"])
+        assert "'street' is not one" in own(project, "fig07")[0]
         status, output = artifact(
             project, "run", "--profile", "frames", "--only", "fig07", "-p", "fig07.dataset=street"
         )
@@ -176,6 +214,14 @@ def test_a_failing_notebook_fails_the_run_and_is_named(tiny):
     assert counts(output)[0] == 0, "nothing of the failure was stored"
 
 
+def test_a_book_without_executed_notebooks_says_how_to_make_them(tmp_path):
+    loaded = replace(manifest.load(), path=tmp_path / "data_manifest.yaml")
+    (tmp_path / "book").mkdir()
+    (tmp_path / "book" / "_toc.yml").write_text("root: executed/opening\n")
+    with pytest.raises(build.BookError, match=r"make reproduce` \(or `python -m artifact reproduce`\) first"):
+        build.build(loaded)
+
+
 def test_the_book_is_built_from_executed_notebooks_without_running_any(tiny):
     project, _ = tiny
     status, output = artifact(project, "book")
@@ -209,13 +255,12 @@ def test_a_fault_in_a_page_fails_the_strict_build(tiny):
 
 def test_a_folder_of_ones_own_is_one_parameter_away(tiny, tmp_path):
     project, _ = tiny
-    own = tmp_path / "my places"
+    places = tmp_path / "my places"
     for part, brightness in (("queries", 0), ("database", -50)):
-        write_images(own / part, 25, seed=9, brightness=brightness)
-    status, output = artifact(project, "run", "--only", "tab01", "tab03", "-p", f"datasets=['{own}']")
+        write_images(places / part, 25, seed=9, brightness=brightness)
+    status, output = artifact(project, "run", "--only", "tab01", "tab03", "-p", f"datasets=['{places}']")
     assert status == 0, output
-    text = nbformat.writes(executed(project)["tab03"])
-    assert "my places" in text
+    assert "my places" in own(project, "tab03")[0]
     status, output = artifact(project, "run", "--only", "tab03", "-p", f"datasets=['{tmp_path}']")
     assert status == 1
     assert "expected one folder named queries or query, found 0" in output
@@ -231,7 +276,7 @@ def test_a_method_from_outside_is_three_lines_and_an_entry_away(tiny):
     project, _ = tiny
     path = project / "data_manifest.yaml"
     before = path.read_text()
-    kept = {path: path.read_bytes() for path in (project / "book" / "executed").glob("*.ipynb")}
+    kept = {path: path.read_bytes() for path in (project / "book" / "executed").glob("*.*")}
     content = yaml.safe_load(before)
     content["methods"]["my_method"] = {
         "title": "Mean colour",
@@ -247,10 +292,10 @@ def test_a_method_from_outside_is_three_lines_and_an_entry_away(tiny):
     asked = ("run", "--only", "tab03", "-p", 'methods=["my_method","hog"]')
     try:
         assert artifact(project, *asked)[0] == 0
-        assert "Mean colour" in nbformat.writes(executed(project)["tab03"])
-        assert counts(artifact(project, *asked)[1]) == (0, 1)
+        assert "Mean colour" in own(project, "tab03")[0]
+        assert counts(artifact(project, *asked)[1]) == (0, 2)
         (project / "my_method.py").write_text(MEAN_COLOUR.replace("mean((2, 3))", "amax((2, 3))"))
-        assert counts(artifact(project, *asked)[1]) == (1, 0)
+        assert counts(artifact(project, *asked)[1]) == (1, 1)
         (project / "my_method.py").unlink()
         status, output = artifact(project, *asked)
         assert status == 1
@@ -280,19 +325,42 @@ def test_commands_for_the_shell(tiny):
     assert "nothing to compare with its numbers" in output
 
 
+def flip(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 4
+    path.write_bytes(content)
+
+
 def test_verify_finds_a_damaged_result(tiny):
     project, _ = tiny
     path = next((project / ".cache" / "descriptors" / "hog").glob("*.npy"))
     kept = path.read_bytes()
-    array = np.load(path)
-    array[0, 0] += 1
-    np.save(path, array)
+    flip(path)
     try:
         status, output = artifact(project, "verify")
         assert status == 1
-        assert f"DAMAGED {path}" in output
+        assert f"DAMAGED {path}: its content differs from its record" in output
     finally:
         path.write_bytes(kept)
+
+
+def test_a_damaged_page_is_not_built_and_a_damaged_book_is_built_again(tiny):
+    project, _ = tiny
+    for command in ("run", "book"):  # the status page lists what is there, and the book is of it
+        assert artifact(project, command)[0] == 0
+    page, index = project / "book" / "executed" / "tab03.ipynb", project / "book" / "_build" / "html" / "index.html"
+    kept = page.read_bytes()
+    flip(page)
+    try:
+        status, output = artifact(project, "book")
+        assert status == 1
+        assert f"error: {page}: its content differs from its record; `make reproduce` puts it back" in output
+    finally:
+        page.write_bytes(kept)
+    flip(index)
+    status, output = artifact(project, "book")
+    assert (status, "built in" in output) == (0, True), output
+    assert f"{index.parent}: its content differs from its record (index.html); the book is built again" in output
 
 
 def test_missing_data_is_an_error_that_says_what_to_do(tiny, tmp_path):
@@ -302,6 +370,7 @@ def test_missing_data_is_an_error_that_says_what_to_do(tiny, tmp_path):
     shutil.copytree(project / "notebooks", tmp_path / "notebooks")
     status, output = artifact(tmp_path, "run")
     assert status == 1
-    assert "error: avenue: no folder" in output
+    assert "error: nothing was run, since this is missing:" in output
+    assert "avenue" in output
     assert "Ask the author." in output
     assert "Traceback" not in output

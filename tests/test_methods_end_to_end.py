@@ -4,6 +4,8 @@ Untrained descriptors say nothing about places; what is tested is the way from f
 and both stages of retrieval. Released weights take the same way (``tests/test_weights.py`` loads them).
 """
 
+import functools
+
 import numpy as np
 import pytest
 from conftest import real_data_root, write_manifest
@@ -18,7 +20,13 @@ from artifact.studies import evaluated
 HERE = manifests.load()
 METHODS = [name for name, entry in HERE.methods.items() if entry.kind == "paper"]
 HEAVY = ("selavpr", "selavprpp", "anyloc")
-BUILDERS = {"salad_cm": "salad:salad_cm", "eigenplaces": "cosplace:eigenplaces"}
+
+
+def __getattr__(name):
+    """A builder of each method, without weights, for the manifest."""
+    if name not in METHODS:
+        raise AttributeError(name)
+    return functools.partial(methods.build, name)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +50,7 @@ def images(tmp_path_factory):
 def project_of(images, name):
     """A manifest with the repository's own entry of one method, but for its weights."""
     entry = HERE.methods[name].model_dump(exclude_unset=True, exclude={"weights"})
-    entry["builder"] = f"artifact.methods.{BUILDERS.get(name, f'{name}:{name}')}"
+    entry["builder"] = f"{__name__}:{name}"
     content = {
         "version": 1,
         "data_root": "data",

@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,20 +20,15 @@ from hypothesis import strategies as st
 from torch import nn
 from torch.nn import functional
 
-from artifact.methods.anyloc import anyloc, vlad
+from artifact import methods
+from artifact.methods.anyloc import vlad
 from artifact.methods.blocks.adapters import MultiScaleAdapter
 from artifact.methods.blocks.attention import EncoderLayer, MultiHeadAttention
 from artifact.methods.blocks.dinov2 import GatedPerceptron, SelfAttention, feature_map, interpolate_positions
 from artifact.methods.blocks.pooling import GeM, unit_gem
-from artifact.methods.boq import boq
-from artifact.methods.cosplace import cosplace, eigenplaces
-from artifact.methods.cricavpr import cricavpr
-from artifact.methods.megaloc import megaloc, resize_to_patches
-from artifact.methods.mixvpr import mixvpr
-from artifact.methods.salad import assign_by_transport, salad, salad_cm
-from artifact.methods.selavpr import selavpr
-from artifact.methods.selavprpp import selavprpp
-from artifact.ranking.matching_torch import match_count
+from artifact.methods.megaloc import resize_to_patches
+from artifact.methods.salad import assign_by_transport
+from artifact.ranking.matching import match_count
 
 GOLDEN = Path(__file__).parent / "golden"
 REPEATABLE = settings(max_examples=50, deadline=None, derandomize=True)
@@ -52,17 +48,19 @@ class Method:
 
 
 METHODS = {
-    "cosplace": Method(cosplace, 1024, 224, "backbone"),
-    "eigenplaces": Method(eigenplaces, 2048, 224, "backbone"),
-    "mixvpr": Method(mixvpr, 4096, 320, "backbone.model"),
-    "salad": Method(salad, 8448, 322, "backbone.model.norm", as_map=True),
-    "salad_cm": Method(salad_cm, 8448, 322, "backbone.model.norm", as_map=True, golden="salad"),
-    "megaloc": Method(megaloc, 8448, 322, "backbone.norm", as_map=True),
-    "boq": Method(boq, 12288, 322, "backbone.dino.blocks.11", as_map=True),
-    "cricavpr": Method(cricavpr, 10752, 224, "backbone.norm"),
-    "selavpr": Method(selavpr, 1024, 224, "backbone.norm", slow=True),
-    "selavprpp": Method(selavprpp, 4096, 322, "backbone.norm", slow=True),
-    "anyloc": Method(anyloc, 49152, 112, "", slow=True),
+    "cosplace": Method(partial(methods.build, "cosplace"), 1024, 224, "backbone"),
+    "eigenplaces": Method(partial(methods.build, "eigenplaces"), 2048, 224, "backbone"),
+    "mixvpr": Method(partial(methods.build, "mixvpr"), 4096, 320, "backbone.model"),
+    "salad": Method(partial(methods.build, "salad"), 8448, 322, "backbone.model.norm", as_map=True),
+    "salad_cm": Method(
+        partial(methods.build, "salad_cm"), 8448, 322, "backbone.model.norm", as_map=True, golden="salad"
+    ),
+    "megaloc": Method(partial(methods.build, "megaloc"), 8448, 322, "backbone.norm", as_map=True),
+    "boq": Method(partial(methods.build, "boq"), 12288, 322, "backbone.dino.blocks.11", as_map=True),
+    "cricavpr": Method(partial(methods.build, "cricavpr"), 10752, 224, "backbone.norm"),
+    "selavpr": Method(partial(methods.build, "selavpr"), 1024, 224, "backbone.norm", slow=True),
+    "selavprpp": Method(partial(methods.build, "selavprpp"), 4096, 322, "backbone.norm", slow=True),
+    "anyloc": Method(partial(methods.build, "anyloc"), 49152, 112, "", slow=True),
 }
 EVERY_METHOD = pytest.mark.parametrize("name", METHODS)
 # SALAD-CM is SALAD with other weights: there is nothing more to run.
@@ -241,17 +239,17 @@ def test_state_dict_and_output_have_the_released_shapes(name):
 
 def test_salad_cm_has_the_architecture_of_salad():
     with torch.device("meta"):
-        assert str(salad_cm()) == str(salad())
+        assert str(methods.build("salad_cm")) == str(methods.build("salad"))
 
 
-@pytest.mark.parametrize("build", [mixvpr, salad])
-def test_an_untrained_model_is_reproducible_and_finite(build):
+@pytest.mark.parametrize("name", ["mixvpr", "salad"])
+def test_an_untrained_model_is_reproducible_and_finite(name):
     before = torch.get_rng_state()
-    first, second = build(), build()
+    first, second = methods.build(name), methods.build(name)
     assert torch.equal(torch.get_rng_state(), before)
     for (key, a), b in zip(first.state_dict().items(), second.state_dict().values(), strict=True):
         assert torch.equal(a, b), key
-    size = 320 if build is mixvpr else 126
+    size = 320 if name == "mixvpr" else 126
     descriptors = first(images(size, size))
     assert (descriptors.norm(dim=1) - 1).abs().max() <= 1e-6
     assert (descriptors[0] - descriptors[1]).norm() > 1e-3
@@ -310,12 +308,12 @@ def test_a_wrong_size_is_refused_with_the_rule(name, size, message):
 )
 def test_images_that_are_no_batch_of_float32_rgb_are_refused(batch, message):
     with pytest.raises(ValueError, match=f"EigenPlaces .*{message}"):
-        eigenplaces()(batch)
+        methods.build("eigenplaces")(batch)
 
 
 def test_a_model_without_weights_says_so():
     with torch.device("meta"):
-        model = cosplace()
+        model = methods.build("cosplace")
     with pytest.raises(ValueError, match="holds no weights"):
         model(torch.zeros(1, 3, 224, 224))
 

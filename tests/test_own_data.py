@@ -2,22 +2,25 @@
 
 import json
 import os
+import re
 import struct
 import subprocess
-import sys
+import unicodedata
+import zlib
 
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from conftest import REPOSITORY, tiny_manifest, write_images, write_manifest
+from conftest import REPOSITORY, artifact, real_data_root, tiny_manifest, write_images, write_manifest
 from PIL import Image
 
 from artifact import INLP, LEACE, STD, datasets, evaluate, manifest, split
 from artifact.commands.cli import assignments, main
 from artifact.datasets import DatasetError
-from artifact.datasets.arrays import read_descriptors, read_positions, read_threshold
+from artifact.datasets.arrays import Descriptors, read_descriptors, read_positions, read_threshold
 from artifact.datasets.images import UnreadableImageError, read_image
+from artifact.datasets.positions import in_metres, positions_from_csv, positions_from_names
 from artifact.studies import preview
 
 RNG = np.random.default_rng(0)
@@ -25,17 +28,9 @@ RNG = np.random.default_rng(0)
 
 def type_in(folder, *arguments):
     """Run the command as a user does, in a folder; return its status and output."""
-    environment = {**os.environ, "ARTIFACT_CACHE": str(folder / ".cache"), "COLUMNS": "200"}
-    done = subprocess.run(
-        [sys.executable, "-m", "artifact", *arguments],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert "Traceback" not in done.stderr
-    return done.returncode, done.stdout + done.stderr
+    status, output = artifact(folder, *arguments, ARTIFACT_CACHE=str(folder / ".cache"), COLUMNS="200")
+    assert "Traceback" not in output
+    return status, output
 
 
 @pytest.fixture
@@ -372,7 +367,8 @@ def pair(tmp_path):
     def load():
         loaded = manifest.load(tmp_path / "data_manifest.yaml")
         name = str(tmp_path / "town")
-        return datasets.load(loaded, name), preview.remarks(loaded, name)
+        dataset = datasets.load(loaded, name)
+        return dataset, preview.remarks_on(loaded, dataset)
 
     return tmp_path / "town", load
 
@@ -422,11 +418,91 @@ def test_latitude_and_longitude_become_metres(pair):
         load()
 
 
-def test_degrees_as_x_and_y_are_refused(pair):
+LONG = np.linspace([10.4, 63.4], [15.0, 68.4], 6000)  # degrees along a railway of 729 km
+
+
+@pytest.mark.parametrize("places", [13.4 + np.linspace([0, 39], [1e-3, 39.001], 6), LONG])
+def test_degrees_in_place_of_metres_are_refused(tmp_path, places):
+    names = [f"frame{i}.png" for i in range(len(places))]
+    rows = [f"{name},{x},{y}" for name, (x, y) in zip(names, places, strict=True)]
+    (tmp_path / "p.csv").write_text("\n".join(["image,x,y", *rows]))
+    np.save(tmp_path / "p.npy", places)
+    in_names = [f"@{x:.6f}@{y:.6f}@.png" for x, y in places]
+    found = Descriptors(np.zeros((len(places), 2), np.float32), None)
+    for read in (
+        lambda: positions_from_csv(tmp_path / "p.csv", names),
+        lambda: positions_from_names(tmp_path, in_names),
+        lambda: read_positions(tmp_path / "p.npy", found, "queries"),
+    ):
+        with pytest.raises(DatasetError, match="of the size of degrees and hardly differ.*latitude and longitude"):
+            read()
+
+
+def test_metres_of_a_small_room_are_not_taken_for_degrees(tmp_path):
+    room = np.column_stack([np.linspace(2, 6, 30), np.linspace(1, 3, 30)])
+    np.testing.assert_array_equal(in_metres(room, tmp_path, range(30)), room)
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.array([[0.0, 1], [np.nan, 2]]), "the position of 1 is not a finite number"),
+        (np.array([["a", "b"]] * 2), "found <U1 of shape .2, 2.; positions are numbers"),
+        (np.zeros((2, 2, 2)), "positions are numbers of shape"),
+        (np.zeros((3, 2)), "3 positions for 2 descriptors of the queries"),
+    ],
+)
+def test_arrays_that_are_no_positions_are_refused(tmp_path, array, message):
+    np.save(tmp_path / "p.npy", array)
+    with pytest.raises(DatasetError, match=f"p.npy: .*{message}"):
+        read_positions(tmp_path / "p.npy", Descriptors(np.zeros((2, 2), np.float32), None), "queries")
+
+
+def test_a_damaged_array_of_positions_is_one_line(tmp_path):
+    (tmp_path / "p.npy").write_bytes(b"")
+    with pytest.raises(DatasetError, match="p.npy: cannot be read as a NumPy array"):
+        read_positions(tmp_path / "p.npy", Descriptors(np.zeros((2, 2), np.float32), None), "queries")
+
+
+def test_names_in_another_form_of_unicode_are_hinted_at(pair):
     town, load = pair
-    csv_of(town, "image,x,y\n" + "\n".join(f"frame{i}.png,{13.4 + i * 1e-4},{52.5 + i * 1e-4}" for i in range(6)))
-    with pytest.raises(DatasetError, match="as degrees do; name the columns latitude and longitude"):
+    rows = [(f"Stra\u0308\u00dfe{i}.png", 10.0 * i) for i in range(6)]
+    for part in ("queries", "database"):
+        for (name, _), path in zip(rows, sorted((town / part).iterdir()), strict=True):
+            path.rename(path.with_name(unicodedata.normalize("NFC", name)))
+    csv_of(town, "image,x,y\n" + "\n".join(f"{name},{x},0" for name, x in rows))
+    with pytest.raises(DatasetError, match="no row for 6 of 6 images.*in other case or another form of Unicode"):
         load()
+
+
+def test_zones_of_query_and_database_must_be_one(pair, files, capsys):
+    town, load = pair
+    for part, zone in (("queries", 31), ("database", 32)):
+        for index, path in enumerate(sorted((town / part).iterdir())):
+            path.rename(path.with_name(f"@{500000 + 10 * index}@4000000@{zone}@U@{index}@.png"))
+    with pytest.raises(DatasetError, match="the names are in the UTM zones 31, 32"):
+        load()
+    for part in ("queries", "database"):  # the way out that the message names
+        rows = [f"{path.name},51,{5.999 + 1e-4 * i}" for i, path in enumerate(sorted((town / part).iterdir()))]
+        (town / part / "positions.csv").write_text("\n".join(["image,latitude,longitude", *rows]))
+    assert load()[0].query.positions.shape == (6, 3)
+    for name, zone in (("a", 31), ("b", 32)):
+        lines = [f"@{500000 + 10 * i}@4000000@{zone}@U@{i}@.png" for i in range(60)]
+        (files / f"{name}.txt").write_text("\n".join(lines))
+    arguments = [{"q.csv": "a.txt", "d.csv": "b.txt"}.get(argument, argument) for argument in FILES]
+    assert main(arguments) == 1
+    assert "in the UTM zone 32, those of the queries in 31" in capsys.readouterr().err
+
+
+def test_one_positions_file_beside_described_folders(pair):
+    town, load = pair
+    rows = [f"{part}/{name},{x},{y + (part == 'database')}" for part in ("queries", "database") for name, x, y in ROWS]
+    (town / "positions.csv").write_text("image,x,y\n" + "\n".join(rows))
+    traversals = {part: {"condition": part} for part in ("queries", "database")}
+    description = {"title": "T", "kind": "folder", "query": "queries", "database": "database", "traversals": traversals}
+    description["threshold"] = {"value": 25, "unit": "metres"}
+    (town / "dataset.yaml").write_text(yaml.safe_dump(description))
+    np.testing.assert_array_equal(load()[0].database.positions[:, 1], [row[2] + 1 for row in ROWS])
 
 
 def test_one_positions_file_beside_the_folders(pair):
@@ -490,6 +566,23 @@ def test_frames_of_which_some_are_missing_are_remarked_and_paired_by_name(pair):
     np.testing.assert_array_equal(loaded.database.positions[:, 0], range(6))
 
 
+@pytest.mark.parametrize(
+    ("rename", "remark"),
+    [
+        (lambda i: f"night_{i}.png", None),  # numbers tell frames
+        (lambda i: f"night_{i + 1:03d}.png", "frame0 with night_001, frame1 with night_002"),
+        (lambda i: f"{'abcdef'[i]}.png", "frame0 with a, frame1 with b, frame2 with c, frame3 with d, frame4 with e;"),
+    ],
+)
+def test_names_that_number_frames_otherwise_are_remarked(pair, rename, remark):
+    town, load = pair
+    for index, path in enumerate(sorted((town / "database").iterdir())):
+        path.rename(path.with_name(rename(index)))
+    remarks = load()[1]
+    assert len(remarks) == (remark is not None)
+    assert remark is None or remark in remarks[0]
+
+
 def test_the_same_images_twice_are_remarked(pair):
     town, load = pair
     for index in range(3):
@@ -498,6 +591,27 @@ def test_the_same_images_twice_are_remarked(pair):
     for path in (town / "queries").iterdir():
         path.write_bytes((town / "queries" / "frame5.png").read_bytes())
     assert "all images of queries are the same" in load()[1]
+
+
+@pytest.mark.parametrize("ending", ["png", "jpg"])
+def test_pictures_saved_again_are_remarked(pair, ending):
+    town, _ = pair
+    loaded = manifest.load(town.parent / "data_manifest.yaml")
+    assert not [text for text in preview.look_at(loaded, str(town)).remarks if "copies" in text]
+    for path in sorted((town / "queries").iterdir()):
+        with Image.open(path) as image:
+            image.save(town / "database" / path.with_suffix(f".{ending}").name, compress_level=1, quality=90)
+        if ending == "jpg":
+            (town / "database" / path.name).unlink()
+    assert preview.look_at(loaded, str(town)).remarks[-1].startswith("6 of 6 query images look like copies")
+
+
+def test_a_threshold_that_all_images_lie_within_is_remarked(pair):
+    town, load = pair
+    csv_of(town, "image,x,y\n" + "\n".join(f"frame{i}.png,{500 + 3 * i},7" for i in range(6)))
+    assert load()[1] == [
+        "every database image is a positive of most queries: is the threshold in the unit of the positions?"
+    ]
 
 
 def test_one_position_for_all_is_remarked(pair):
@@ -521,7 +635,7 @@ def test_system_files_are_passed_over_and_unreadable_ones_named(pair):
 
 def test_odd_file_names_are_sorted(pair):
     town, load = pair
-    names = ["12²3.png", "a\nb.png", "x" * 200 + ".png", "UPPER.PNG", "ä #%.png", "7.png"]
+    names = ["12²3.png", "a\nb.png", "x" * 250 + ".png", "UPPER.PNG", "ä #%.png", "7.png"]
     for path, name in zip(sorted((town / "queries").iterdir()), names, strict=True):
         path.rename(path.with_name(name))
     assert sorted(load()[0].query.image_names) == sorted(names)
@@ -554,6 +668,30 @@ def test_sixteen_bits_are_scaled_and_other_ranges_refused(tmp_path):
             read_image(path)
 
 
+@pytest.mark.parametrize("peak", [255, 4095, 65535])
+def test_deep_colours_must_use_their_range(tmp_path, peak):
+    values = (GREY / GREY.max() * peak).astype(">u2")
+    rows = np.repeat(values[:, :, None], 3, axis=2)
+    (tmp_path / "deep.png").write_bytes(deep_png(rows))
+    if peak < 65535:
+        with pytest.raises(UnreadableImageError, match="deep.png: 16-bit colours as of a 12-bit camera"):
+            read_image(tmp_path / "deep.png")
+    else:
+        np.testing.assert_allclose(np.asarray(read_image(tmp_path / "deep.png"))[..., 0], values / 257, atol=1)
+
+
+def deep_png(values):
+    """The simplest PNG of 16-bit colours, which Pillow reads and does not write."""
+
+    def chunk(name, content):
+        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
+
+    h, w, _ = values.shape
+    rows = b"".join(b"\0" + row.tobytes() for row in values)
+    header = struct.pack(">IIBBBBB", w, h, 16, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+
+
 def big_endian_tiff(values):
     """The simplest big-endian TIFF: one strip of 16-bit grey values."""
     h, w = values.shape
@@ -574,6 +712,55 @@ def big_endian_tiff(values):
         for tag, kind, value in tags
     )
     return b"MM\x00*" + struct.pack(">I", 8 + len(body)) + body + struct.pack(">H", len(tags)) + entries + bytes(4)
+
+
+def test_photographs_of_a_phone_go_from_two_folders_to_numbers(tmp_path):
+    write_manifest(tmp_path, tiny_manifest())
+    write_images(tmp_path / "plain", 12, seed=9, noise=5)
+    for folder, first, darker in (("day", 2031, 0), ("night", 3107, 60)):
+        (tmp_path / folder).mkdir()
+        for i, path in enumerate(sorted((tmp_path / "plain").iterdir(), key=lambda path: int(path.stem[5:]))):
+            with Image.open(path) as image:
+                photograph = image.resize((800, 600)).point(lambda value, darker=darker: max(0, value - darker))
+            exif = Image.Exif()
+            if i % 3 == 0:
+                photograph, exif[0x0112] = photograph.transpose(Image.Transpose.ROTATE_90), 6
+            photograph.save(tmp_path / folder / f"IMG_{first + i}.JPG", quality=88, exif=exif)
+    for other in ("IMG_2040.HEIC", "IMG_2041.MOV", ".DS_Store"):
+        (tmp_path / "day" / other).write_bytes(b"x")
+    status, output = type_in(tmp_path, "data", "add", "walk", "--query", "night", "--database", "day")
+    assert status == 0, output
+    assert re.search(r"night\s+night\s+query\s+12\s+1.00 800 × 600\s+0 ", output)
+    assert "day: 2 files are no images that can be read here, first 'IMG_2040.HEIC'; HEIC must be converted" in output
+    assert "by their order though names differ: IMG_3107 with IMG_2031" in output
+    status, output = type_in(tmp_path, "evaluate", "--datasets", "walk", "--methods", "hog")
+    assert status == 0, output
+    assert re.search(r"walk\s+hog\s+\d+\.\d\d", output)
+
+
+@pytest.mark.data
+def test_the_real_pair_with_frames_removed_is_told_and_paired_by_name(tmp_path):
+    """Frames 10, 20 and 30 of the day and 100 of the night are gone: by order most pairs are of other places."""
+    write_manifest(tmp_path, tiny_manifest())
+    for name, removed in (("day_right", (10, 20, 30)), ("night_right", (100,))):
+        (tmp_path / name).mkdir()
+        for path in sorted((real_data_root() / "gardens_point" / name).iterdir()):
+            if int(path.stem[-3:]) not in removed:
+                (tmp_path / name / path.name).symlink_to(path)
+    add = ["data", "add", "gardens", "--query", "night_right", "--database", "day_right", "--threshold", "1frame"]
+    status, output = type_in(tmp_path, *add)
+    assert status == 0, output
+    assert "night_right has 199 images and day_right 197" in output
+    assert re.search(r"names differ: Image010 with Image011, .*; 'by_name: true' pairs equal names", output)
+    recalls = []
+    for by_name in (False, True):
+        status, output = type_in(tmp_path, "evaluate", "--datasets", "gardens", "--methods", "hog")
+        assert status == 0, output
+        assert ("names differ" in output) != by_name
+        recalls.append(float(re.search(r"gardens +hog +(\d+\.\d+)", output)[1]))
+        description = yaml.safe_load((tmp_path / "gardens" / "dataset.yaml").read_text())
+        (tmp_path / "gardens" / "dataset.yaml").write_text(yaml.safe_dump(description | {"by_name": True}))
+    assert recalls[1] > recalls[0] + 5
 
 
 def test_photographs_are_turned_upright(tmp_path):

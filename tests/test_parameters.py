@@ -1,7 +1,11 @@
 """Unknown or invalid parameters are errors before anything runs."""
 
 import ast
+import re
+import warnings
 
+import jupytext
+import papermill
 import pytest
 from conftest import REPOSITORY
 
@@ -9,6 +13,7 @@ from artifact import manifest
 from artifact.book import parameters
 from artifact.book.parameters import ParameterError
 from artifact.commands.cli import asked_parameters
+from artifact.pages.scope import open_page
 
 NOTEBOOK = """
 # %% tags=["parameters"]
@@ -77,8 +82,9 @@ def test_asked_values_replace_defaults(notebook, loaded):
         ({"dataset": "avenue"}, "dataset is 'avenue'; allowed: 'street', or the path of a folder"),
         ({"dataset": ["street"]}, "allowed: 'street', or the path of a folder"),
         ({"methods": ["hog", "vlad"]}, "'vlad': allowed: 'thumbnail', 'hog'"),
-        ({"methods": []}, "allowed: a list of names, or None"),
-        ({"methods": "hog"}, "allowed: a list of names, or None"),
+        ({"methods": []}, "allowed: one name, several with commas, a list of names, or None"),
+        ({"methods": "hog, vlad"}, "'vlad': allowed: 'thumbnail', 'hog'"),
+        ({"methods": 3}, "allowed: one name, several with commas, a list of names, or None"),
         ({"ratios": [0, 2]}, "allowed: a list of numbers from 0 to 1"),
         ({"ratios": []}, "allowed: a list of numbers from 0 to 1"),
         ({"distances": ["far"]}, "allowed: a list of numbers from 0 to inf"),
@@ -91,6 +97,84 @@ def test_bad_values_name_notebook_parameter_and_what_is_allowed(notebook, loaded
         parameters.merged(notebook, asked, loaded)
     assert str(caught.value).startswith("notebooks/tab99.py: ")
     assert message in str(caught.value)
+
+
+def test_names_are_one_several_with_commas_or_a_list(notebook, loaded):
+    for asked in ("hog", ["hog"]):
+        assert parameters.merged(notebook, {"methods": asked}, loaded)["methods"] == ["hog"]
+    assert parameters.merged(notebook, {"methods": "hog, thumbnail"}, loaded)["methods"] == ["hog", "thumbnail"]
+
+
+OPENS_A_PAGE = """
+# ---
+# jupyter:
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+# %% tags=["parameters"]
+profile: str = "demo"  # a profile
+methods: list[str] = None  # names
+k: int = 1  # from 1
+
+# %%
+from artifact.pages.scope import open_page
+
+page = open_page(profile, methods=methods, k=k)
+"""
+
+
+class Shell:
+    """A notebook in which papermill set what it was given."""
+
+    def __init__(self, **given):
+        lines = [f"{name} = {value!r}" for name, value in given.items()]
+        self.user_ns = {"In": ["", "k: int = 1", "\n".join(["# Parameters", *lines]), "unrelated = 3"]}
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"kk": 5}, "unknown parameter 'kk'; allowed: profile, methods, k"),
+        ({"k": 0}, "k is 0; allowed: whole numbers from 1"),
+        ({"methods": "hog, vlad"}, "'vlad': allowed: 'thumbnail', 'hog'"),
+    ],
+)
+def test_a_page_checks_its_parameters_itself(project, monkeypatch, given, message):
+    monkeypatch.chdir(project)
+    monkeypatch.setattr("artifact.pages.parameters.get_ipython", lambda: Shell(**given))
+    values = {name: given.get(name, default) for name, default in (("methods", None), ("k", 1))}
+    with pytest.raises(ParameterError, match=re.escape(message)):
+        open_page("demo", **values)
+
+
+def test_a_page_takes_one_name_or_several_with_commas(project, monkeypatch):
+    monkeypatch.chdir(project)
+    assert open_page("demo", methods="hog").methods == ("hog",)
+    page = open_page("demo", methods="hog,thumbnail", datasets=None)
+    assert page.parameters["methods"] == page.methods == ("hog", "thumbnail")
+
+
+def test_papermill_itself_fails_for_an_unknown_parameter(project):
+    (project / "notebooks").mkdir()
+    notebook = project / "notebooks" / "tab99.ipynb"
+    jupytext.write(jupytext.reads(OPENS_A_PAGE.lstrip(), "py:percent"), notebook)
+    paths = str(notebook), str(project / "out.ipynb")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the Jupyter packages themselves
+        with pytest.raises(papermill.exceptions.PapermillExecutionError, match="unknown parameter 'kk'"):
+            papermill.execute_notebook(*paths, {"kk": 5}, kernel_name="python3", cwd=project, progress_bar=False)
+
+
+def test_papermill_shows_type_and_range_of_every_parameter(tmp_path):
+    for path in sorted((REPOSITORY / "notebooks").glob("*.py")):
+        jupytext.write(jupytext.read(path), tmp_path / "one.ipynb")
+        shown = papermill.inspect_notebook(str(tmp_path / "one.ipynb"))
+        assert list(shown) == list(parameters.read(path)), path.name
+        for name, found in shown.items():
+            assert found["inferred_type_name"] != "None", (path.name, name)
+            assert found["help"], (path.name, name)
 
 
 def test_all_faults_are_listed(notebook, loaded):
@@ -108,9 +192,9 @@ def test_a_folder_may_be_a_dataset(notebook, loaded, project):
     ("cell", "message"),
     [
         ("k = 1 + n", "the default of 'k' is not a literal"),
-        ("import os", "line 1 of the parameters cell is not 'name = literal'"),
-        ("a = b = 1", "is not 'name = literal'"),
-        ("k: int = 1", "is not 'name = literal'"),
+        ("import os", "line 1 of the parameters cell is not 'name: type = literal'"),
+        ("a = b = 1", "is not 'name: type = literal'"),
+        ("k: int", "is not 'name: type = literal'"),
     ],
 )
 def test_parameter_cells_hold_plain_assignments(notebook, cell, message):

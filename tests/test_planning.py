@@ -13,7 +13,7 @@ from artifact import datasets, manifest
 from artifact.commands import cli, costs, plan, probes
 from artifact.extraction import costs as extraction_costs
 from artifact.extraction import extract, timing
-from artifact.extraction.costs import ExtractionCost, Part
+from artifact.extraction.costs import ExtractionCost, KnownTraversal
 from artifact.extraction.timing import Timing
 from artifact.manifest import entries
 
@@ -90,8 +90,8 @@ def test_descriptors_of_another_time_do_not_count_as_stored(project, quick, chan
         loaded = manifest.load(write_manifest(project, content))
     else:
         (project / "data" / "street" / "day" / "frame3.png").unlink()
-    parts = extraction_costs.known_parts(loaded, "street")
-    assert not any(extraction_costs.is_stored(loaded, "hog", "street", part, "float32") for part in parts)
+    known = extraction_costs.known_traversals(loaded, "street")
+    assert not any(extraction_costs.is_stored(loaded, "hog", "street", one, "float32") for one in known)
 
 
 def test_counts_are_those_of_the_loaded_traversals(project):
@@ -115,11 +115,11 @@ def test_counts_are_those_of_the_loaded_traversals(project):
         },
     }
     loaded = manifest.load(write_manifest(project, tiny_manifest(drive=drive)))
-    parts = extraction_costs.known_parts(loaded, "drive")
-    assert [part.name for part in parts] == ["day", "night"]  # dusk is neither here nor needed
-    for part in parts:
-        assert part.images == len(datasets.load_traversal(loaded, "drive", part.name)) < 20
-        assert (part.state, part.image_size) == ("here", (48, 64))
+    known = extraction_costs.known_traversals(loaded, "drive")
+    assert [one.name for one in known] == ["day", "night"]  # dusk is neither here nor needed
+    for one in known:
+        assert one.images == len(datasets.load_traversal(loaded, "drive", one.name)) < 20
+        assert (one.state, one.image_size) == ("here", (48, 64))
 
 
 def test_the_papers_profile_is_planned_without_data_and_weights(tmp_path, monkeypatch, quick):
@@ -288,9 +288,9 @@ def test_devices_and_precision_reach_extraction(project):
     done = subprocess.run(command, cwd=project, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     loaded = manifest.load(project / "data_manifest.yaml")
-    for part in (Part("day", 12, "here"), Part("night", 12, "here")):
-        assert extraction_costs.is_stored(loaded, "hog", "street", part, "bfloat16")
-        assert not extraction_costs.is_stored(loaded, "hog", "street", part, "float32")
+    for known in (KnownTraversal("day", 12, "here"), KnownTraversal("night", 12, "here")):
+        assert extraction_costs.is_stored(loaded, "hog", "street", known, "bfloat16")
+        assert not extraction_costs.is_stored(loaded, "hog", "street", known, "float32")
     command[-2:] = ["--devices", "cuda:77"]
     done = subprocess.run(command, cwd=project, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 1

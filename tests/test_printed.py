@@ -9,19 +9,26 @@ import sys
 import numpy as np
 import pytest
 import yaml
-from conftest import DRIVE, REPOSITORY, write_images, write_manifest
+from conftest import DRIVE, REPOSITORY, copy_book, tiny_manifest, write_drive, write_images, write_manifest
+
+from artifact import manifest
+from artifact.book import build, runner
+from artifact.ranking.compiled import compiled
 
 NOTEBOOKS = ("tab01", "tab03", "preview")
 NOT_TYPED = {
     "make test": "it is what runs these tests",
+    "make lab": "opens JupyterLab and waits",
     "make bench": "takes minutes; its parts have tests of their own",
     "make bench METHODS=all": "builds all eleven methods; its parts have tests of their own",
 }
 
 
-def printed(path):
-    """The commands in the shell blocks of a text, without their comments."""
-    blocks = re.findall(r"^```bash\n(.*?)^```", (REPOSITORY / path).read_text(), re.MULTILINE | re.DOTALL)
+def printed(path, section=""):
+    """The commands in the shell blocks of a text, or of a section of it, without their comments."""
+    text = (REPOSITORY / path).read_text().partition(section)[2] if section else (REPOSITORY / path).read_text()
+    text = text.partition("\n## ")[0] if section else text
+    blocks = re.findall(r"^```bash\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     lines = "".join(blocks).replace("\\\n", " ").splitlines()
     return [re.sub(r"\s+", " ", re.sub(r"\s+# .*", "", line)).strip() for line in lines if line.strip()]
 
@@ -30,10 +37,7 @@ def printed(path):
 def clone(tmp_path_factory):
     """A clone with a space in its path, whose profile is small, with images and descriptors as the texts name them."""
     folder = tmp_path_factory.mktemp("a clone")
-    for part in ("notebooks", "book"):
-        shutil.copytree(
-            REPOSITORY / part, folder / part, ignore=shutil.ignore_patterns("_build", "executed", "__pycache__")
-        )
+    copy_book(folder)
     for path in (folder / "notebooks").glob("*.py"):
         if path.stem not in NOTEBOOKS:
             path.unlink()
@@ -47,20 +51,17 @@ def clone(tmp_path_factory):
     (folder / "book" / "_toc.yml").write_text(yaml.safe_dump(toc))
     for file in ("Makefile", "environment.txt", "pyproject.toml"):
         shutil.copy(REPOSITORY / file, folder / file)
-    for name, brightness in (("day", 0), ("night", -70), ("dusk", -20), ("night_2", -71)):
-        write_images(folder / "data" / "drive" / name, 30, seed=4, brightness=brightness, noise=25)
-        rows = [f"frame{i}.png,{12.0 * i + abs(brightness) / 20:.1f},0" for i in range(30)]
-        (folder / "data" / "drive" / name / "positions.csv").write_text("\n".join(["image,x,y", *rows]) + "\n")
+    write_drive(folder, 30)
     for name, brightness in (("night", -50), ("day", 0)):
         write_images(folder / "photos" / name, 30, seed=9, brightness=brightness)
-    manifest = yaml.safe_load((REPOSITORY / "data_manifest.yaml").read_text())
-    manifest["datasets"]["drive"] = DRIVE
-    manifest["profiles"]["demo"] |= {"datasets": ["drive"], "methods": ["thumbnail", "hog"], "parameters": {}}
+    entries = yaml.safe_load((REPOSITORY / "data_manifest.yaml").read_text())
+    entries["datasets"]["drive"] = DRIVE
+    entries["profiles"]["demo"] |= {"datasets": ["drive"], "methods": ["thumbnail", "hog"], "parameters": {}}
     readme = (REPOSITORY / "README.md").read_text()
     (folder / "my_method.py").write_text(re.search(r"```python\n(# my_method.py.*?)```", readme, re.DOTALL)[1])
     entry = re.search(r"```yaml\n# data_manifest.yaml, under methods:\n(.*?)```", readme, re.DOTALL)[1]
-    manifest["methods"] |= yaml.safe_load(entry)
-    write_manifest(folder, manifest)
+    entries["methods"] |= yaml.safe_load(entry)
+    write_manifest(folder, entries)
     rng = np.random.default_rng(0)
     for name in "qd":
         np.save(folder / f"{name}.npy", rng.normal(size=(60, 16)).astype(np.float32))
@@ -72,6 +73,12 @@ def clone(tmp_path_factory):
     (ready / "python").chmod(0o755)
     (folder / ".venv" / ".ready").write_text(f"{folder}\n")
     return folder
+
+
+# They need the published archives; test_obtaining.py types those that lead to verified traversals.
+NOT_TYPED |= dict.fromkeys(printed("README.md", "\n## The full paper\n"), "needs the archives")
+# They need the results of a paper run; test_results.py exports, imports and recomputes those of a small one.
+NOT_TYPED |= dict.fromkeys(printed("README.md", "\n## Many machines\n"), "needs a paper run")
 
 
 def typed(clone, command):
@@ -146,6 +153,68 @@ def test_set_up_takes_the_index_that_is_asked_for(tmp_path):
     assert re.search(r"torch==[\d.]+ --index-url https://example.org/cpu$", asked, re.MULTILINE)
 
 
+def test_a_machine_without_a_driver_is_told_of_the_small_build(tmp_path):
+    """The line of the recipe, run with and without what it looks for."""
+    recipe = made(tmp_path, "-n", "setup").stdout
+    line = re.search(r'test -n "" .*?\(0\.2 GB\)"', recipe, re.DOTALL)[0]
+    tools = tmp_path / "bin"
+    tools.mkdir()
+    (tools / "uname").write_text("#!/bin/sh\necho Linux\n")
+    (tools / "uname").chmod(0o755)
+    for driver in (False, True):
+        if driver:
+            (tools / "nvidia-smi").symlink_to(tools / "uname")
+        done = subprocess.run(
+            ["/bin/sh", "-c", line], env={"PATH": str(tools)}, capture_output=True, text=True, check=True
+        )
+        assert ("TORCH_INDEX=URL" in done.stdout) != driver
+
+
+def test_set_up_compiles_what_kernels_import(tmp_path):
+    assert "-m compileall -q src" in made(tmp_path, "-n", "setup").stdout
+
+
+def test_the_makefile_is_read_by_the_make_of_macos():
+    """Version 3.81 knows none of these."""
+    text = (REPOSITORY / "Makefile").read_text()
+    newer = r"^\.ONESHELL|^\w+ *!=|\$\(file |^undefine|::=|:::=|^private|\$\(guile|^load |\$\(intcmp|\$\(let "
+    assert not re.search(newer, text, re.MULTILINE)
+
+
+def test_a_clone_that_cannot_be_written_builds_its_book_in_the_cache(tmp_path, monkeypatch):
+    (tmp_path / "clone" / "book" / "_build").mkdir(parents=True)
+    (tmp_path / "clone" / "book" / "_toc.yml").write_text("root: a")
+    (tmp_path / "clone" / "book" / "_build" / "old.html").write_text("")
+    write_manifest(tmp_path / "clone", tiny_manifest())
+    monkeypatch.setenv("ARTIFACT_CACHE", str(tmp_path / "cache"))
+    loaded = manifest.load(tmp_path / "clone" / "data_manifest.yaml")
+    assert build.source_folder(loaded) == tmp_path / "clone" / "book"
+    monkeypatch.setattr(os, "access", lambda path, mode: "clone" not in str(path))
+    source = build.source_folder(loaded)
+    assert source == tmp_path / "cache" / "book"
+    assert [path.name for path in source.iterdir()] == ["_toc.yml"]
+
+
+def test_kernels_write_nothing_to_a_home_that_cannot_be_written(tmp_path, monkeypatch):
+    write_manifest(tmp_path, tiny_manifest())
+    monkeypatch.setenv("HOME", "/nonexistent")
+    monkeypatch.delenv("ARTIFACT_CACHE", raising=False)
+    with runner.environment_of_kernels(manifest.load(tmp_path / "data_manifest.yaml")):
+        places = [os.environ[name] for name in ("IPYTHONDIR", "MPLCONFIGDIR", "JUPYTER_RUNTIME_DIR", "NUMBA_CACHE_DIR")]
+    assert all(place.startswith(str(tmp_path / ".cache")) for place in places)
+
+
+def test_inner_loops_compile_where_nothing_can_be_kept(monkeypatch):
+    def unwritable(*_):
+        raise RuntimeError("no locator available")
+
+    monkeypatch.setattr("numba.core.dispatcher.Dispatcher.enable_caching", unwritable)
+    assert compiled()(lambda x: x + 1)(1) == 2
+
+
+SCRIPT = ["src/artifact/commands/doctor.py"]
+
+
 @pytest.fixture
 def doctor(tmp_path):
     """A folder with the one file that `make doctor` runs."""
@@ -164,6 +233,11 @@ def test_the_doctor_finds_nothing_wrong_or_says_what_is(doctor):
     (doctor / "a file").touch()
     done = made(doctor, "doctor", ARTIFACT_CACHE=str(doctor / "a file"))
     assert "a file cannot be written" in done.stdout
+    (doctor / ".git").mkdir()
+    done = subprocess.run(
+        [sys.executable, *SCRIPT], cwd=doctor, env={"PATH": ""}, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.startswith("git is not found: pages cannot say which commit")
     broken = doctor / ".venv" / "bin" / "python"
     broken.parent.mkdir(parents=True)
     broken.write_text("#!/bin/sh\nexit 1\n")

@@ -33,7 +33,7 @@ TESTS = {
         "test_counts_equal_a_literal_sort_of_the_augmented_database",
         "test_sweeps_end_at_recall_and_dar",
     ],
-    "Condition sweep": ["test_several_pools_share_one_pass"],
+    "Condition sweep": ["test_several_pools_share_one_pass", "test_a_larger_pool_counts_as_the_mean_of_smaller_ones"],
     "Mixed database (Figs. 2, 9)": ["test_mixed_databases_count_added_images_within_the_threshold_as_right"],
     "Fitting region": [
         "test_the_centre_holds_the_queries_nearest_to_the_mean",
@@ -69,7 +69,7 @@ TESTS = {
     ],
     "Image counts": ["test_other_counts_than_the_papers_are_said_and_do_not_stop"],
     "Input size": ["test_the_shipped_manifest_is_the_papers", "test_a_wrong_size_is_refused_with_the_rule"],
-    "CricaVPR batches": ["test_batches_are_the_protocols_on_any_devices_and_after_any_stop"],
+    "CricaVPR batches": ["test_batches_are_the_protocols_in_any_parts_and_after_any_stop"],
     "Re-ranking (SelaVPR, SelaVPR++)": [
         "test_ranks_and_sweeps_equal_the_definition",
         "test_studies_take_two_stage_methods_as_any_other",
@@ -79,8 +79,8 @@ TESTS = {
         "test_the_composed_transform_is_fitted_in_turn_and_erases_both_conditions"
     ],
     "Intervals": [
-        "test_resamples_are_circular_blocks_of_consecutive_queries",
-        "test_intervals_cover_the_truth_about_as_often_as_they_say",
+        "test_replicates_are_means_of_circular_blocks_of_consecutive_queries",
+        "test_the_interval_of_a_paired_difference_covers_the_truth_as_often_as_it_says",
     ],
 }
 

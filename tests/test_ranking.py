@@ -11,6 +11,7 @@ from oracle import Case, distance, evaluated_queries, ranks, share, similarity
 from artifact.metrics.evaluate import evaluate
 from artifact.metrics.result import QUERY_POOL
 from artifact.ranking import one_pass
+from artifact.suppression.lowrank import LowRankMap
 
 
 def random_case(seed):
@@ -274,7 +275,8 @@ def test_retrieval_lists_hold_the_most_similar_allowed_images(device, monkeypatc
                 if distance(case.query_positions[i], case.query_positions[other]) <= case.threshold:
                     scores[len(case.database) + j] = -np.inf
             np.testing.assert_array_equal(indices[row], np.argsort(-scores, kind="stable")[:6])
-            np.testing.assert_allclose(similarities[row], np.sort(scores)[::-1][:6], rtol=1e-5)
+            length = np.linalg.norm(case.queries[i])
+            np.testing.assert_allclose(similarities[row], np.sort(scores)[::-1][:6] / length, rtol=1e-5)
 
 
 def test_memory_budget_and_tile_size_do_not_change_the_counts(monkeypatch):
@@ -289,8 +291,48 @@ def test_memory_budget_and_tile_size_do_not_change_the_counts(monkeypatch):
     reference = run(case)
     with_tiles_of(monkeypatch, 37)
     other = run(case)
-    # Different block shapes may round a product differently; ranks of continuous data must still agree.
     np.testing.assert_array_equal(reference.ranks(distractors=True), other.ranks(distractors=True))
+
+
+@pytest.mark.parametrize("side", [3, 1024])
+def test_views_without_sweeps_count_equal_similarities_as_the_definition(side, monkeypatch):
+    """Images that a query may not use are many and often as similar as its best positive."""
+    with_tiles_of(monkeypatch, side)
+    for seed in range(150):
+        case = random_case(seed)
+        if not evaluated_queries(case):
+            continue
+        width = case.queries.shape[1]
+        nothing = LowRankMap(np.zeros((width, 0)), np.zeros((width, 0)), np.zeros(0))
+        view = run(case, views={"as it is": nothing})["as it is"]
+        for ties in ("for", "against"):
+            np.testing.assert_array_equal(view.ranks(distractors=True, ties=ties), ranks(case, ties=ties))
+
+
+@pytest.mark.parametrize("side", [3, 1024])
+def test_equal_images_stand_in_retrieval_lists_in_their_order(side, monkeypatch):
+    """Database before distractors, and each in the order given."""
+    with_tiles_of(monkeypatch, side)
+    for seed in range(60):
+        case = random_case(seed)
+        kept = evaluated_queries(case)
+        if not kept:
+            continue
+        result = run(case, retrieve=4)
+        pool = case.queries[kept] if case.pool is None else case.pool
+        where = case.query_positions[kept] if case.pool is None else case.pool_positions
+        for row, query in enumerate(kept):
+            scores = [similarity("cosine", case.queries[query], images) for images in (case.database, pool)]
+            far = [distance(case.query_positions[query], place) > case.threshold for place in where]
+            scores[1] = np.where(far, scores[1], -np.inf)
+            for distractors in (False, True):
+                both = np.round(np.concatenate(scores if distractors else scores[:1]), 9)
+                order = np.argsort(-both, kind="stable")[:4]
+                expected = np.full(4, -1)
+                expected[: len(order)] = np.where(np.isneginf(both[order]), -1, order)
+                length = min(4, len(case.database))
+                found = result.retrieved(length, distractors=distractors)[0][row]
+                np.testing.assert_array_equal(found, expected[:length])
 
 
 GOOD = {

@@ -1,9 +1,10 @@
 """Two-stage methods against the definition: build the augmented database, sort, cut, score, sort again, look."""
 
-import errno
-import os
+import functools
+import itertools
 import shutil
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,11 +17,14 @@ from torch import nn
 from torch.nn import functional
 
 from artifact import datasets, manifest, methods, store, studies
-from artifact.commands import verify
+from artifact.book.runner import Task
+from artifact.commands import jobs, verify
 from artifact.datasets.images import read_image
-from artifact.extraction import extract, local_features, partial
+from artifact.extraction import extract, parts
+from artifact.extraction.stored import second_stage_key
 from artifact.manifest.entries import ManifestError
 from artifact.methods.preprocessing import prepare
+from artifact.metrics import two_stage, two_stage_sweeps
 from artifact.metrics.evaluate import evaluate
 from artifact.metrics.statistics import intervals
 from artifact.metrics.two_stage import TwoStageEvaluation, evaluate_two_stage
@@ -355,6 +359,29 @@ def test_with_fewer_distractors_images_beyond_the_first_candidates_move_up():
     assert run(alone, candidates=2).ranks(distractors=True).tolist() == [2]
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_parts_of_the_queries_put_together_are_the_whole(seed):
+    case = continuous_case(seed)
+    whole = run(case, candidates=3, draws=2, retrieve=2)
+    ends = [*sorted({0, whole.n_queries // 3, whole.n_queries // 2}), whole.n_queries]
+    parts = [
+        run(case, candidates=3, draws=2, retrieve=2, rows=slice(start, end))
+        for start, end in itertools.pairwise(ends)
+        if end > start
+    ]
+    assert sum(part.n_queries for part in parts) == whole.n_queries
+    for found, expected in (
+        (two_stage.joined([part.arrays() for part in parts]), whole.arrays()),
+        (
+            two_stage_sweeps.joined([part.sweep_of(part.pool_name).arrays() for part in parts]),
+            whole.sweep_of(whole.pool_name).arrays(),
+        ),
+    ):
+        assert found.keys() == expected.keys()
+        for name, array in expected.items():
+            np.testing.assert_array_equal(found[name], array, err_msg=name)
+
+
 def test_several_pools_share_the_database_and_stand_alone():
     case, other = continuous_case(1), continuous_case(2)
     images = lambda name, first, where: candidates.Images.of(first, Named(name, len(first)), where)  # noqa: E731
@@ -549,9 +576,9 @@ def loaded(project, **methods):
 
 
 @pytest.fixture
-def small_files(monkeypatch):
-    """Five images in each file of float32 local features."""
-    monkeypatch.setattr(local_features, "_FILE_BYTES", 5 * 3 * 4 * 6 * 4)
+def small_parts(monkeypatch):
+    """A batch of five images in each part."""
+    monkeypatch.setattr(parts, "_BATCHES", 1)
 
 
 def model_outputs(found, traversal, method):
@@ -565,16 +592,16 @@ def model_outputs(found, traversal, method):
         return [output.numpy() for output in both(torch.stack(images))]
 
 
-def test_both_outputs_come_from_one_pass_and_are_stored_in_files(project, small_files):
+def test_both_outputs_come_from_one_pass_and_are_stored_in_parts(project, small_parts):
     found, traversal = loaded(project)
-    for method, dtype, n_files, tolerance in (("local", np.float32, 3, 1e-6), ("half", np.float16, 2, 1e-3)):
+    for method, dtype, tolerance in (("local", np.float32, 1e-6), ("half", np.float16, 1e-3)):
         expected, features = model_outputs(found, traversal, method)
         TinyLocal.seen = 0
         stored = extract.second_stage(found, traversal, method, workers=0)
         assert TinyLocal.seen == len(traversal)
         assert (stored.shape, stored.dtype, len(stored)) == ((12, 3, 4, 6), dtype, 12)
-        assert len(stored.maps) == n_files
-        assert all(isinstance(part, np.memmap) for part in stored.maps)
+        assert len(stored.parts) == 3
+        assert isinstance(stored.parts.read(1, pytest.fail), np.memmap)
         rows = np.array([11, 0, 5, 4, 11])
         np.testing.assert_allclose(stored[rows], features[rows], atol=tolerance)
         np.testing.assert_allclose(extract.descriptors(found, traversal, method).values, expected, atol=1e-6)
@@ -584,29 +611,14 @@ def test_both_outputs_come_from_one_pass_and_are_stored_in_files(project, small_
     np.testing.assert_array_equal(np.unpackbits(packed[np.arange(12)], axis=1)[:, :12], codes > 0)
     assert packed.shape == (12, 2)
     lines, _ = verify.verify(found, "demo")
-    assert lines[0].endswith(".cache: 9 stored results, 0 damaged"), "each file's sidecar tells its digest"
-
-
-def test_several_devices_write_the_same_files(project, small_files):
-    """Three batches shared out over two processes, whose rows meet within a file."""
-    found, traversal = loaded(project)
-    alone = extract.second_stage(found, traversal, "local", workers=0)
-    whole, descriptors = (
-        [path.read_bytes() for path in result_files(alone)],
-        extract.descriptors(found, traversal, "local"),
-    )
-    shutil.rmtree(project / ".cache")
-    shared = extract.second_stage(found, traversal, "local", device="cpu,cpu", workers=0)
-    np.testing.assert_allclose(shared[np.arange(12)], alone[np.arange(12)], atol=1e-6)
-    assert len(whole) == len(shared.maps)
-    np.testing.assert_allclose(extract.descriptors(found, traversal, "local").values, descriptors.values, atol=1e-6)
+    assert lines[0].endswith(".cache: 12 stored results, 0 damaged"), "each part's sidecar tells its digest"
 
 
 def test_descriptors_alone_do_not_need_the_local_features(project):
     found, traversal = loaded(project)
     first = extract.second_stage(found, traversal, "local", workers=0)
     before = extract.descriptors(found, traversal, "local").sha256
-    shutil.rmtree(first.files.folder)
+    shutil.rmtree(first.parts.folder)
     TinyLocal.seen = 0
     assert extract.descriptors(found, traversal, "local").sha256 == before
     assert TinyLocal.seen == 0
@@ -614,25 +626,20 @@ def test_descriptors_alone_do_not_need_the_local_features(project):
     assert TinyLocal.seen == len(traversal)
     np.testing.assert_array_equal(again[np.arange(12)], first[np.arange(12)])
     assert extract.descriptors(found, traversal, "local").sha256 == before
-    assert sorted(path.name for path in again.files.folder.iterdir() if path.suffix != ".lock") == [
-        "00000.json",
-        "00000.npy",
-        "growing.json",
-    ]
+    assert sorted(path.name for path in again.parts.folder.iterdir()) == ["00000.json", "00000.npy"]
 
 
 def test_another_dtype_is_another_result_but_the_descriptors_are_shared(project):
     found, traversal = loaded(project)
-    keys = {extract.second_stage_key(traversal, "local", found.method(method)) for method in ("local", "half")}
+    keys = {second_stage_key(traversal, "local", found.method(method)) for method in ("local", "half")}
     assert len(keys) == 2
     assert len({extract.descriptor_key(traversal, "x", found.method(method)) for method in ("local", "half")}) == 1
 
 
 @pytest.mark.parametrize("stop", [1, 2, 3])
-def test_interrupted_and_resumed_the_bytes_are_the_same(project, small_files, monkeypatch, stop):
+def test_interrupted_and_resumed_the_bytes_are_the_same(project, small_parts, monkeypatch, stop):
     found, traversal = loaded(project)
-    monkeypatch.setattr(partial, "JOURNAL_SECONDS", 0.0)
-    whole = [path.read_bytes() for path in result_files(extract.second_stage(found, traversal, "local", workers=0))]
+    whole = part_bytes(extract.second_stage(found, traversal, "local", workers=0))
     shutil.rmtree(project / ".cache")
     original, calls = TinyLocal.global_and_local, []
 
@@ -645,68 +652,14 @@ def test_interrupted_and_resumed_the_bytes_are_the_same(project, small_files, mo
     monkeypatch.setattr(TinyLocal, "global_and_local", stopping)
     with pytest.raises(KeyboardInterrupt):
         extract.descriptors(found, traversal, "local", workers=0)
-    folder = project / ".cache" / "local_features"
-    assert not list(folder.rglob("0*.json"))
-    assert not [path for path in folder.rglob("0*.npy") if "partial" not in path.name]
+    assert len(list((project / ".cache" / "local_features").rglob("0*.json"))) == stop - 1
     stored = extract.second_stage(found, traversal, "local", workers=0)
-    assert sum(calls) == len(traversal) + [5, 5, 2][stop - 1], "only the batch in progress was described again"
-    assert [path.read_bytes() for path in result_files(stored)] == whole
-    assert not list(folder.rglob("*.partial.npy"))
+    assert sum(calls) == len(traversal) + [5, 5, 2][stop - 1], "only the part in progress was described again"
+    assert part_bytes(stored) == whole
 
 
-def result_files(stored):
-    return [stored.files.path(number) for number in range(len(stored.files.rows))]
-
-
-def test_a_journal_does_not_vouch_for_files_that_are_gone(project, small_files, monkeypatch):
-    """Between two runs a growing file is lost: rows that the journal calls done are described again."""
-    found, traversal = loaded(project)
-    monkeypatch.setattr(partial, "JOURNAL_SECONDS", 0.0)
-    original, calls = TinyLocal.global_and_local, []
-
-    def stopping(self, images):
-        calls.append(len(images))
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        return original(self, images)
-
-    monkeypatch.setattr(TinyLocal, "global_and_local", stopping)
-    with pytest.raises(KeyboardInterrupt):
-        extract.descriptors(found, traversal, "local", workers=0)
-    next((project / ".cache").rglob("00000.partial.npy")).unlink()
-    stored = extract.second_stage(found, traversal, "local", workers=0)
-    assert sum(calls[3:]) == len(traversal)
-    np.testing.assert_allclose(stored[np.arange(12)], model_outputs(found, traversal, "local")[1], atol=1e-6)
-
-
-def test_stopped_between_the_last_steps_the_files_are_completed(project, small_files):
-    found, traversal = loaded(project)
-    stored = extract.second_stage(found, traversal, "local", workers=0)
-    files, before = stored.files, [path.read_bytes() for path in result_files(stored)]
-    files.path(1).with_suffix(".json").unlink()
-    files.path(2).with_suffix(".json").unlink()
-    files.path(2).replace(files.partial(2))
-    assert files.missing() == [1, 2]
-    name = local_features.start(files)
-    assert name == local_features.start(files), "nothing was lost, so what was written counts"
-    local_features.complete(files, {})
-    assert files.missing() == []
-    assert [path.read_bytes() for path in result_files(stored)] == before
-
-
-def test_files_that_do_not_fit_are_named(project, small_files):
-    found, traversal = loaded(project)
-    stored = extract.second_stage(found, traversal, "local", workers=0)
-    path = stored.files.path(1)
-    path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(store.StoreError, match=r"00001.npy: cannot be read .*; delete it and its .json and run again"):
-        extract.second_stage(found, traversal, "local", workers=0)
-    np.save(path, np.zeros((5, 2), np.float32))
-    with pytest.raises(store.StoreError, match=r"00001.npy: holds float32 \(5, 2\)"):
-        extract.second_stage(found, traversal, "local", workers=0)
-    path.unlink()
-    with pytest.raises(store.StoreError, match=r"00001.npy: missing or made from other inputs"):
-        local_features.opened(stored.files)
+def part_bytes(stored):
+    return [stored.parts.path(number).read_bytes() for number in range(len(stored.parts))]
 
 
 def test_the_disk_is_checked_before_anything_is_computed(project, monkeypatch, capsys):
@@ -725,22 +678,6 @@ def test_the_disk_is_checked_before_anything_is_computed(project, monkeypatch, c
         with pytest.raises(store.StoreError, match=r"local · street/day.* of disk, 3.5 kB are free.* 'dtype: float16'"):
             attempt()
     assert not list((project / ".cache").rglob("*.npy"))
-
-
-def test_a_disk_that_fills_up_while_space_is_reserved_leaves_no_half_file(project, small_files, monkeypatch):
-    found, traversal = loaded(project)
-    reserved = []
-
-    def full(descriptor, start, length):
-        reserved.append(length)
-        if len(reserved) == 2:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "posix_fallocate", full)
-    monkeypatch.setattr(methods, "model_of", lambda *_: pytest.fail("a model was built"))
-    with pytest.raises(store.StoreError, match=r"00001.partial.npy: no room for 1.4 kB .*No space left"):
-        extract.second_stage(found, traversal, "local", workers=0)
-    assert [path.name for path in (project / ".cache").rglob("*.npy")] == ["00000.partial.npy"]
 
 
 def test_entries_and_models_that_do_not_fit_are_named(project):
@@ -788,6 +725,8 @@ def test_from_images_to_metrics_and_sweeps(project, method, monkeypatch):
         dtype = found.method(method).local_features.dtype
         first, second = (near, far), (near_second.astype(dtype), far_second.astype(dtype))
         score = mutual_pairs
+    if method == "half":  # ranked in parts of the queries
+        monkeypatch.setattr(evaluated, "QUERIES_EACH", 5)
     tables = [np.array([[score(q, i) for i in images] for q in second[0]]) for images in (second[1], second[0])]
     case = Case(*first, query.positions, database.positions, 1.0, tables[0], None, None, tables[1])
     definition = Definition(case)
@@ -804,6 +743,35 @@ def test_from_images_to_metrics_and_sweeps(project, method, monkeypatch):
     again = evaluated.evaluation(found, "street", method, retrieve=2).evaluation
     np.testing.assert_array_equal(again.dar_by_distance(limits), expected)
     np.testing.assert_array_equal(again.retrieved(2, distractors=True)[0], result.retrieved(2, distractors=True)[0])
+
+
+def test_ranking_again_by_local_features_is_cut_into_jobs_of_some_queries(project, monkeypatch):
+    monkeypatch.setattr(evaluated, "QUERIES_EACH", 5)
+    found, _ = loaded(project)
+    parameters = {"k": 1, "seed": 0, "ratios": [0.5], "distances": [1.0], "draws": 2, "dataset": "street"}
+    graph = jobs.graph(
+        found, [Task(Path(f"{page}.py"), parameters, ("street",), ("local",)) for page in ("tab03", "fig06")]
+    )
+    again = [job for job in graph if job.kind == "rank again"]
+    assert [job.name for job in again] == [
+        f"rank again local street {what} {part}" for what in ("ranking", "sweep") for part in range(3)
+    ]
+    table, number, _ = (
+        job for job in graph if job.kind in ("recall_table", "distractor_number", "distractor_distance")
+    )
+    assert {job.name for job in again[:3]} <= set(table.needs)
+    assert {job.name for job in again} <= set(number.needs)
+    assert all(job.on_device for job in again)
+    assert not table.on_device
+    for name in ("day", "night"):
+        extract.descriptors(found, datasets.load_traversal(found, "street", name), "local", workers=0)
+    for job in reversed(again):
+        job.work(found)
+    monkeypatch.setattr(LocalMatcher, "__call__", lambda *_: pytest.fail("ranked again"))
+    read = replace(found, results=[])
+    for job in (table, number):
+        job.work(read)
+    assert len(set(read.results)) == 2, "parts are no results of a page"
 
 
 def test_studies_take_two_stage_methods_as_any_other(project):
@@ -830,6 +798,9 @@ def test_studies_take_two_stage_methods_as_any_other(project):
     assert condition.groupby("method")["traversal"].apply(list).loc["local"] == ["day", "rain", "none"]
 
 
+selavpr, selavprpp = (functools.partial(methods.build, name) for name in ("selavpr", "selavprpp"))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "layout"),
@@ -845,7 +816,7 @@ def test_the_architectures_offer_what_their_layouts_say(project, name, layout):
         TINY
         | layout
         | {
-            "builder": f"artifact.methods.{name}:{name}",
+            "builder": f"{__name__}:{name}",
             "dimension": 1024 if name == "selavpr" else 4096,
             "batch_size": 3,
             "preprocessing": {"resize": "fixed", "size": [side, side]},

@@ -1,6 +1,7 @@
 """Studies of suppression on descriptors whose cause is known: a condition along one direction."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pandas as pd
@@ -9,9 +10,11 @@ import synthetic
 
 from artifact import compose, evaluate, pages, studies
 from artifact.manifest.entries import ManifestError
-from artifact.studies import fitted, within_session
+from artifact.studies import evaluated, fitted, within_session
+from artifact.studies.common import NothingToShowError
 from artifact.suppression.inlp import INLP
 from artifact.suppression.leace import LEACE
+from artifact.suppression.std import STD
 
 
 @pytest.fixture
@@ -58,6 +61,100 @@ def test_the_table_holds_what_fitting_and_evaluating_by_hand_give(made):
         assert table.loc[name, "change_DAR"] == pytest.approx(table.loc[name, "DAR"] - table.loc["original", "DAR"])
 
 
+def standardised_by_hand(one, fit_region, region):
+    """Rescale the queries, which are the distractors too, as queries and the database as a database."""
+    std = STD().fit(*fitted.fitting_data(one, fit_region))
+    queries = std.transform(one.query.values[region.evaluation_queries], fitted.QUERY)
+    database = std.transform(one.database.values[region.evaluation_database], fitted.DATABASE)
+    places = (one.dataset.query.positions, one.dataset.database.positions)
+    rows = region.evaluation_queries, region.evaluation_database
+    return evaluate(queries, database, *(p[r] for p, r in zip(places, rows, strict=True)), one.dataset.threshold)
+
+
+def same_ranks(found, expected):
+    for distractors in (False, True):
+        np.testing.assert_array_equal(found.ranks(distractors=distractors), expected.ranks(distractors=distractors))
+
+
+def test_standardised_queries_and_distractors_carry_the_query_condition(made):
+    manifest, one = made
+    region = fitted.split_of(one.dataset, 0.3)
+    found = fitted.compare(manifest, "made", synthetic.METHOD, fraction=0.3, iterations=1).evaluations["STD"]
+    same_ranks(found, standardised_by_hand(one, region, region))
+
+
+def test_every_fraction_is_evaluated_on_the_same_outer_half(made):
+    manifest, one = made
+    half = fitted.split_of(one.dataset, 0.5)
+    found, _ = fitted.by_fraction(manifest, "made", synthetic.METHOD, [0.2, 0.5], iterations=2)
+    for (name, fraction), result in found.items():
+        np.testing.assert_array_equal(half.evaluation_queries[result.evaluated], half.evaluation_queries)
+        np.testing.assert_array_equal(result.query_positions, one.dataset.query.positions[half.evaluation_queries])
+        region = fitted.split_of(one.dataset, fraction) if fraction else half
+        if name == "STD":
+            same_ranks(result, standardised_by_hand(one, region, half))
+        else:
+            fit = {"original": None, "LEACE": LEACE(), "INLP": INLP(2)}[name]
+            same_ranks(result, by_hand(one, half, fit and fit.fit(*fitted.fitting_data(one, region))))
+
+
+# -- pools of distractors -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def with_excluded(tmp_path, monkeypatch):
+    """The last thirty queries have no image of the database near them."""
+    one = synthetic.described()
+    before = one.dataset.traversals
+    night = before["night"].positions.copy()
+    night[90:] += [0, 9000]
+    traversals = before | {"night": dataclasses.replace(before["night"], positions=night)}
+    one = dataclasses.replace(one, dataset=dataclasses.replace(one.dataset, traversals=traversals))
+    synthetic.offer(monkeypatch, one)
+    return synthetic.manifest(tmp_path, one), one
+
+
+def test_the_query_traversal_as_a_pool_is_the_evaluated_queries(with_excluded):
+    manifest, one = with_excluded
+    ask = functools.partial(evaluated.evaluation, manifest, "made", synthetic.METHOD)
+    alone, pools = ask().evaluation, ask(distractors=["day", "dusk"]).evaluation
+    assert alone.n_queries == alone.n_distractors == pools.pool("day").n_distractors == 91  # one just beyond is near
+    np.testing.assert_array_equal(pools.pool_positions["day"], one.dataset.query.positions[:91])
+    assert pools.pool("dusk").n_distractors == 120
+    same_ranks(pools.pool("day"), alone)
+
+
+def test_a_pool_of_given_size_is_drawn_at_random(with_excluded):
+    manifest, one = with_excluded
+    places = {tuple(where): place for place, where in enumerate(one.dataset.traversals["dusk"].positions)}
+
+    def drawn(seed, name):
+        options = {"distractors": ["day", "dusk"], "pool_size": 40, "seed": seed}
+        result = evaluated.evaluation(manifest, "made", synthetic.METHOD, **options).evaluation
+        members = [places[tuple(where)] for where in result.pool_positions[name]]
+        assert len(members) == 40
+        assert members == sorted(set(members)), "each at most once, in order"
+        return members
+
+    for name, size in (("day", 91), ("dusk", 120)):
+        pools = [drawn(seed, name) for seed in range(12)]
+        assert drawn(3, name) == pools[3]
+        assert len(set(map(tuple, pools))) == len(pools)
+        assert 0.9 * size < len(set().union(*pools)) <= size, "every image may be drawn"
+
+
+def test_a_pool_cannot_be_larger_than_its_traversal(with_excluded):
+    manifest, _ = with_excluded
+    for name, size in (("day", 91), ("dusk", 120)):
+        with pytest.raises(
+            ValueError, match=f"made/{name} has {size} images for a pool of {size + 1}; ask for at most"
+        ):
+            evaluated.evaluation(manifest, "made", synthetic.METHOD, distractors=[name], pool_size=size + 1)
+
+
+# -- suppression ----------------------------------------------------------------------------------------------------
+
+
 def test_suppression_undoes_a_condition_that_is_one_direction(made):
     manifest, _ = made
     table = studies.suppression.suppression_table(manifest, ["made"], [synthetic.METHOD], iterations=5).table.set_index(
@@ -83,7 +180,8 @@ def test_a_second_reading_computes_nothing(made, monkeypatch):
 
 def test_fractions_start_at_the_original_and_share_one_evaluation_half(made):
     manifest, one = made
-    table = studies.suppression.fitting_fraction(manifest, ["made"], [synthetic.METHOD], [0.1, 0.5], iterations=3).table
+    study = studies.suppression.fitting_fraction(manifest, ["made"], [synthetic.METHOD], [0.1, 0.5], iterations=3)
+    table = study.table
     assert set(table["suppression"]) == {"INLP", "LEACE", "STD"}
     assert (table.loc[table["fraction"] == 0, ["change_R", "change_DAR"]] == 0).all(axis=None)
     half = fitted.split_of(one.dataset, 0.5, 0.5)
@@ -93,8 +191,9 @@ def test_fractions_start_at_the_original_and_share_one_evaluation_half(made):
     assert found == pytest.approx(100 * expected)
     means = studies.suppression.mean_by_fraction(table)
     assert means["pairs"].tolist() == [1] * 9
-    assert pages.suppression.a_tenth_suffices(means).agrees in (True, False)
-    assert pages.suppression.a_tenth_suffices(means[means["fraction"] != 0.1]).agrees is None
+    found = {one.claim: one.verdict for one in pages.suppression.of_fractions(study)}
+    assert found["Fitting on 10 % of the queries lowers the mean R@1 of no suppression method."] == "agrees"
+    assert found["INLP and LEACE raise the mean DAR@1 when fitted on 5 % of the queries."] == "cannot tell"
 
 
 def test_too_small_a_fraction_leaves_a_pair_out_of_the_means(tmp_path, monkeypatch):
@@ -113,7 +212,7 @@ def test_too_small_a_fraction_leaves_a_pair_out_of_the_means(tmp_path, monkeypat
 
 def test_the_composed_transform_is_fitted_in_turn_and_erases_both_conditions(two):
     manifest, both = two
-    erasure, _ = fitted.sequential(manifest, ["made", "other"], synthetic.METHOD, "LEACE")
+    erasure = fitted.sequential(manifest, both, synthetic.METHOD, "LEACE", fitted.Fitting())
     X, condition = fitted.fitting_data(both["made"], fitted.split_of(both["made"].dataset, 0.1))
     first = LEACE().fit(X, condition)
     X, condition = fitted.fitting_data(both["other"], fitted.split_of(both["other"].dataset, 0.1))
@@ -136,17 +235,36 @@ def test_the_composed_transform_is_fitted_in_turn_and_erases_both_conditions(two
 
 def test_irrelevant_pairs_meet_the_composed_transform_outside_the_fitting_region(two):
     manifest, _ = two
-    table = studies.composition.irrelevant_conditions(
-        manifest, ["made", "other"], [synthetic.METHOD], iterations=4
-    ).table
+    study = studies.composition.irrelevant_conditions(manifest, ["made", "other"], [synthetic.METHOD], iterations=4)
+    table = study.table
     assert table["pair"].unique().tolist() == ["day–dusk"]
     assert len(table) == 4
     # Day and dusk differ little along the direction, so there is little to gain and nothing to lose.
     assert (table.query("suppression == 'LEACE'")["difference_R"] <= 5).all()
-    finding = pages.composition.irrelevant_conditions_unharmed(
-        studies.composition.summary(table, ["suppression", "pair"])
-    )
+    finding = pages.composition.leace_leaves_others_unharmed(study)
     assert finding.page == "tab05"
+    rows = (table["suppression"] == "LEACE").to_numpy()
+    for metric in ("R", "DAR"):
+        middle = np.median(study.replicates[f"difference_{metric}"][rows], axis=1)
+        np.testing.assert_allclose(middle, table.loc[rows, f"difference_{metric}"], atol=3)
+
+
+def test_a_pair_that_was_fitted_leaves_the_composition_for_that_pair(two, monkeypatch):
+    """A dataset may be fitted on the very pair of traversals that Table V asks about, under another name."""
+    manifest, _ = two
+    pair = {"query": "day", "database": "dusk", "root": "made"}
+    manifest.datasets["made"] = manifest.datasets["made"].model_copy(update={"root": "made"})
+    manifest.datasets["other"] = manifest.datasets["other"].model_copy(update=pair)
+    fitted_on = []
+
+    def remember(manifest, names, *args, **options):
+        fitted_on.append(list(names))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("artifact.studies.fitted.sequential", remember)
+    with pytest.raises(KeyboardInterrupt):
+        studies.composition.irrelevant_conditions(manifest, ["made", "other"], [synthetic.METHOD])
+    assert fitted_on == [["made"]]
 
 
 def test_the_papers_order_of_fitting(tmp_path):
@@ -171,7 +289,11 @@ def test_mixed_databases_count_added_images_within_the_threshold_as_right(made):
     assert mixed.evaluations["single"].recall(1) > mixed.evaluations["mixed"].recall(1)
     table = studies.mixed_database.mixed_table({synthetic.METHOD: mixed})
     assert table.query("evaluation == 'mixed'")["retrieved"].tolist() == best.tolist()
-    assert pages.mixed_database.few_images_lower_recall({synthetic.METHOD: mixed}, {synthetic.METHOD: "Coded"}).agrees
+    finding = pages.mixed_database.few_images_lower_recall({synthetic.METHOD: mixed}, {synthetic.METHOD: "Coded"})
+    assert finding.verdict == "agrees"
+    assert mixed.hits["mixed"].shape == (mixed.evaluations["single"].n_queries, studies.mixed_database.DRAWS)
+    assert mixed.recalls("mixed")[0] == pytest.approx(100 * right.mean())
+    assert len(set(mixed.recalls("mixed"))) > 1, "other images, another recall"
 
 
 def test_suppression_of_a_mixed_database_keeps_the_fitted_places_out(made):
@@ -185,7 +307,7 @@ def test_suppression_of_a_mixed_database_keeps_the_fitted_places_out(made):
     assert np.linalg.norm(fitted[:, None] - added[None], axis=2).min() > data.threshold
     assert not set(found.queries) & set(found.fitted_queries)
     assert found.evaluations["INLP"].recall(1) > found.evaluations["original"].recall(1) + 0.1
-    assert pages.mixed_database.suppression_helps_mixed_database({"m": found}, {"m": "Coded"}).agrees
+    assert pages.mixed_database.suppression_helps_mixed_database({"m": found}, {"m": "Coded"}).verdict == "agrees"
 
 
 def test_a_mixed_database_needs_a_traversal(tmp_path, monkeypatch):
@@ -320,3 +442,11 @@ def test_keys_of_fits_hold_the_library_that_decides_them(made, monkeypatch):
     assert first != fitted.key_of("x", [one], [0.2])
     monkeypatch.setattr(fitted, "version", lambda name: "another")
     assert first != fitted.key_of("x", [one], [0.1])
+
+
+def test_too_few_queries_to_fit_on_are_said_and_not_fitted(tmp_path, monkeypatch):
+    one, measures = brightness_described(0.0, n=12)
+    synthetic.offer(monkeypatch, one)
+    monkeypatch.setattr(within_session, "appearance", lambda *_: measures)
+    with pytest.raises(NothingToShowError, match="a dataset with 4 queries in 25 % of them"):
+        studies.within_session.within_session(synthetic.manifest(tmp_path, one), ["made"], [synthetic.METHOD])

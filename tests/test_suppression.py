@@ -1,5 +1,6 @@
 """INLP, LEACE and STD: the mathematics that they promise, and the errors that they give."""
 
+import functools
 import importlib
 import pickle
 import warnings
@@ -16,7 +17,7 @@ from sklearn.linear_model import LogisticRegression, SGDClassifier
 from sklearn.metrics import balanced_accuracy_score
 
 from artifact import INLP, LEACE, STD, compose, evaluate, load_transform
-from artifact.suppression.inlp import _coordinates
+from artifact.suppression.inlp import _coordinates, _erased_directions
 from artifact.suppression.lowrank import LowRankMap
 
 with warnings.catch_warnings():  # the package uses parts of torch that are deprecated
@@ -160,6 +161,19 @@ def test_leace_removes_a_weak_condition_beside_a_strong_one(n, d, kind):
     assert np.ptp(means, axis=0).max() < 1e-5 * scatter
 
 
+def test_leace_guards_every_condition_however_differently_the_directions_scatter():
+    """Two conditions differ along one direction each, of scatters 1 and 1,000: both are erased, whatever the units."""
+    rng, condition = np.random.default_rng(3), np.arange(600) % 3
+    scatter = np.ones(12)
+    scatter[1] = 1000.0
+    X = rng.standard_normal((600, 12)) * scatter
+    X[:, 0] += 2.0 * (condition == 1)
+    X[:, 1] += 2000.0 * (condition == 2)
+    fitted = LEACE().fit(X, condition)
+    assert fitted.map_.rank == 2
+    np.testing.assert_allclose(np.ptp(class_means(fitted.transform(X), condition), axis=0) / scatter, 0, atol=1e-9)
+
+
 def test_leace_tolerance_drops_directions_without_data():
     X, condition = labelled(100, 8, 2)
     X = np.concatenate([X, X[:, :2] + 1e-13], axis=1)  # two columns repeat: the covariance is singular
@@ -216,6 +230,61 @@ def test_inlp_in_sample_space_equals_the_direct_loop(n, d):
     cosines = np.abs((fitted.directions_ * directions).sum(axis=0))
     assert (cosines[:3] > 0.999).all()
     np.testing.assert_allclose(fitted.accuracies_[:3], accuracies[:3], atol=0.02)
+
+
+def test_inlp_balances_conditions_of_unequal_size():
+    """With nine times as many images of one condition: the classifiers of the definition, and their balanced accuracy."""
+    X, condition = labelled(300, 20, 10, shift=0.3)
+    condition = (condition == 0).astype(int)
+    fitted = INLP(n_iterations=3).fit(X, condition)
+    directions, accuracies = direct_inlp(X, condition, 3)
+    assert ((fitted.directions_ * directions).sum(axis=0) > 0.999).all(), "they point where the classifiers' do"
+    np.testing.assert_allclose(fitted.accuracies_, accuracies, atol=1e-9)
+    plain = SGDClassifier(max_iter=2500, class_weight="balanced", random_state=0).fit(X, condition).score(X, condition)
+    assert abs(plain - accuracies[0]) > 1e-3, "the two accuracies are told apart"
+
+
+class Given:
+    """In the place of a classifier: it finds directions that are given in advance."""
+
+    def __init__(self, weights, **_):
+        self.weights = weights
+
+    def fit(self, X, condition):
+        self.coef_ = next(self.weights)[None]
+
+    def predict(self, X):
+        return np.zeros(len(X), int)
+
+
+def test_a_direction_close_to_the_earlier_ones_leaves_nothing_of_any(monkeypatch):
+    """Whatever classifiers find, the directions are orthogonal to the last digit and their part of the data is gone."""
+    rng = np.random.default_rng(0)
+    first, second, third = rng.standard_normal((3, 40))
+    weights = [first, first + 1e-8 * second, first - second + 1e-8 * third]
+    monkeypatch.setattr("artifact.suppression.inlp.SGDClassifier", functools.partial(Given, iter(weights)))
+    coordinates = rng.standard_normal((90, 40))
+    basis, _, ends = _erased_directions(coordinates, np.arange(90) % 2, 3, 0)
+    assert ends.tolist() == [1, 2, 3]
+    np.testing.assert_allclose(basis.T @ basis, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(coordinates @ basis, 0, atol=1e-13)
+    for found in weights:
+        np.testing.assert_allclose(basis @ (basis.T @ found), found, atol=1e-13)
+
+
+def test_directions_are_orthonormal_where_the_data_are_nearly_flat(monkeypatch):
+    """Fewer rows than columns, and scatters from 1 down to a millionth: the way back to descriptors is rounded."""
+    rng = np.random.default_rng(0)
+    rows, axes = (np.linalg.qr(rng.standard_normal(shape))[0] for shape in ((30, 30), (200, 30)))
+    X = (rows * np.logspace(0, -5.9, 30)) @ axes.T
+    # Each classifier finds one axis of the coordinates, those of the least scatter first.
+    monkeypatch.setattr("artifact.suppression.inlp.SGDClassifier", functools.partial(Given, iter(np.eye(30))))
+    fitted = INLP(n_iterations=12).fit(X, np.arange(30) % 2)
+    directions = fitted.directions_
+    np.testing.assert_allclose(directions.T @ directions, np.eye(12), atol=1e-13)
+    for step in range(13):
+        once = fitted.at(step).transform(X)
+        np.testing.assert_allclose(fitted.at(step).transform(once), once, atol=1e-13)
 
 
 def test_coordinates_keep_every_inner_product():
@@ -278,6 +347,16 @@ def test_std_gives_every_condition_mean_0_and_deviation_1():
         np.testing.assert_allclose(out[condition == c].mean(axis=0), 0, atol=1e-9)
         expected = np.where((np.arange(15) == 4) & (c == 1), 0, 1)
         np.testing.assert_allclose(out[condition == c].std(axis=0), expected, atol=1e-9)
+
+
+def test_std_judges_flat_columns_by_the_scatter_of_their_own_condition():
+    """Descriptors of one condition may scatter a million times less than those of the other: that is no flat column."""
+    X, condition = labelled(200, 15, 2)
+    X[condition == 1] *= 1e-7
+    out = STD().fit(X, condition).transform(X, condition)
+    for c in range(2):
+        np.testing.assert_allclose(out[condition == c].mean(axis=0), 0, atol=1e-9)
+        np.testing.assert_allclose(out[condition == c].std(axis=0), 1, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", [np.float16, np.float32, np.float64])
@@ -438,7 +517,7 @@ def test_views_equal_transforming_the_descriptors_first(similarity, device, monk
         q, c = (view.transform(x) for x in (queries, database))
         alone = _without_unit_length_check(monkeypatch, q, c, where, similarity)
         seen = result[name]
-        np.testing.assert_allclose(seen.database_counts.best, alone.database_counts.best, atol=1e-5)
+        np.testing.assert_allclose(seen.per_query()["similarity"], alone.per_query()["similarity"], atol=1e-5)
         np.testing.assert_array_equal(seen.ranks(distractors=False), alone.ranks(distractors=False))
         np.testing.assert_array_equal(seen.ranks(distractors=True), alone.ranks(distractors=True))
         np.testing.assert_array_equal(seen.retrieved(5, distractors=True)[0], alone.retrieved(5, distractors=True)[0])

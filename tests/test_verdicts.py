@@ -1,6 +1,7 @@
 """Verdicts follow the rules that the page states, at the precision that the paper printed."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,7 @@ from artifact import evaluate, manifest
 from artifact.extraction import made
 from artifact.metrics.statistics import intervals
 from artifact.studies import reported, verdicts
-from artifact.studies.verdicts import judge
+from artifact.studies.judging import CLOSE_PP, judge
 
 LISTED = dict(zip(*(reported.table("tab01")[column] for column in ("dataset", "queries")), strict=True))
 
@@ -73,7 +74,7 @@ def test_errors_of_the_protocol_differ(exact, shift):
 def test_the_four_values_are_the_rule(measured, expected, half_width, digits):
     low, high = measured - half_width, measured + half_width
     verdict = judge(measured, expected, digits=digits, low=low, high=high).verdict
-    inside, close = low <= expected <= high, abs(measured - expected) <= verdicts.CLOSE_PP
+    inside, close = low <= expected <= high, abs(measured - expected) <= CLOSE_PP
     if abs(measured - expected) < 0.5 * 10.0**-digits - 1e-6:
         assert verdict == "equal"
     elif abs(measured - expected) > 0.5 * 10.0**-digits + 1e-6 and abs(abs(measured - expected) - 1) > 1e-6:
@@ -117,6 +118,18 @@ def test_intervals_over_pairs_cover_the_mean_and_repeat():
     assert low < values.mean() < high
     assert (low, high) == verdicts.over_pairs(np.mean, values)
     assert high - low == pytest.approx(2 * 1.96 * 2.0 / 54**0.5, rel=0.35)
+
+
+def test_a_run_without_the_methods_of_the_maps_has_verdicts_of_the_rest(exact, monkeypatch):
+    """RobotCar without AnyLoc and EigenPlaces, the methods of Figs. 2 and 9."""
+    table = exact[(exact["dataset"] == "robotcar") & (exact["method"] == "boq")]
+    monkeypatch.setattr(verdicts.recall, "recall_table", lambda *_, **__: SimpleNamespace(table=table))
+    for study in ("distractor_number", "distractor_distance", "distractor_condition"):
+        monkeypatch.setattr(verdicts.distractors, study, lambda *_, **__: SimpleNamespace(table=None))
+    monkeypatch.setattr(verdicts, "of_curve", lambda *_: verdicts.of_recall(table[:0]))
+    found = verdicts.of_profile(manifest.load(), ["robotcar"], ["boq"])
+    assert len(found) == 3 + 1
+    assert (found["verdict"] == "equal").all()
 
 
 # -- errors of the protocol, planted at full size -------------------------------------------------------------------

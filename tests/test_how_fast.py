@@ -1,0 +1,46 @@
+"""What the page on speed measures is what it says; no test looks at the seconds themselves."""
+
+import numpy as np
+import pytest
+
+from artifact import pages
+from artifact.commands import bench
+from artifact.studies import how_fast
+
+
+@pytest.fixture(scope="module")
+def times():
+    return how_fast.ranking_times(90, 120, 64, n_views=2, repeats=1)
+
+
+def test_shares_are_of_the_faster_bare_product_and_looks_are_counted(times):
+    bare = times["seconds"].iloc[:2].min()
+    np.testing.assert_allclose(times["share"], times["seconds"] / bare)
+    pairs = times.set_index("work")["pairs"]
+    assert pairs[how_fast.COUNTS] == pairs[how_fast.LISTS] == 90 * 210
+    assert pairs[how_fast.NO_DISTRACTORS] == 90 * 120
+    assert pairs["with 2 INLP views"] == 3 * 90 * 210
+    evaluations = times.dropna(subset="pairs")
+    assert (evaluations["third"] <= evaluations["second"]).all()
+    assert (evaluations["second"] <= evaluations["pairs"]).all()
+
+
+def test_the_limit_of_symmetry():
+    assert how_fast.symmetry_limit(6000, 7500) == pytest.approx(10500 / 13500)
+
+
+def test_the_page_names_the_processor_and_draws_a_bar_for_each_work(times):
+    assert how_fast.processor() in pages.how_fast.costs_sentence(times)
+    figure = pages.how_fast.costs_figure(times).data
+    for work in times["work"]:
+        assert work in figure
+    grown = pages.how_fast.growth_figure(how_fast.growth([20, 40], 16)).data
+    assert "million pairs" in grown
+    assert "In float64" in pages.how_fast.costs_table(times).data
+
+
+def test_the_bench_prints_a_line_for_each_work():
+    lines = list(bench.ranking_lines(60, 80, 32, 1))
+    assert "symmetry leaves 0.79 of the pairs" in lines[0]
+    assert any(line.startswith(f"  {how_fast.COUNTS}: ") and "in float64" in line for line in lines)
+    assert all("MiB beyond the inputs" in line for line in bench.growth_lines([30, 60], 16))
