@@ -47,7 +47,7 @@ rehearsal: $(VENV)/.ready ## the whole paper on made descriptors: every page, no
 	@$(RUN) reproduce --profile rehearsal $(ON)
 
 test: $(VENV)/.ready ## run all tests
-	@$(VENV)/bin/python -m pytest --numprocesses 2 --dist loadfile $(ARGS)
+	@$(VENV)/bin/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lab: $(VENV)/.ready ## open the notebooks in JupyterLab, to tweak them (installs it on first use)
 	@$(VENV)/bin/python -c 'import jupyterlab' 2>/dev/null || { echo "installing JupyterLab into $(VENV) (a minute, once)"; \

@@ -100,7 +100,25 @@ def real_data_root():
     return Path(root) if root and (Path(root) / "gardens_point" / "day_right").is_dir() else None
 
 
+# Files that use one project, which only one process then has to make; and those that take long, which start first.
+SHARED = {"tests/test_journey.py": "tests/test_book.py"}
+LONGEST = ["test_book", "test_journey", "test_rehearsal", "test_printed", "test_results", "test_cluster"]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            file = super()._split_scope(nodeid)
+            return SHARED.get(file, file)
+
+    return Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
+
+
 def pytest_collection_modifyitems(items):
+    items.sort(key=lambda item: LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST))
     skip = pytest.mark.skip(
         reason="needs the Gardens Point images: set ARTIFACT_DATA_ROOT to the folder that holds gardens_point/"
     )

@@ -1,6 +1,7 @@
 """The paper's definitions, word for word and slowly: what every fast path must equal."""
 
 from dataclasses import dataclass
+from math import dist
 
 import numpy as np
 
@@ -27,15 +28,16 @@ def similarity(kind, query, images):
 
 
 def distance(a, b):
-    return float(np.sqrt(sum((x - y) ** 2 for x, y in zip(a, b, strict=True))))
+    return dist(a, b)
 
 
 def evaluated_queries(case):
     """Queries with a positive in the database."""
+    database = case.database_positions.tolist()
     return [
         i
-        for i, where in enumerate(case.query_positions)
-        if any(distance(where, y) <= case.threshold for y in case.database_positions)
+        for i, where in enumerate(case.query_positions.tolist())
+        if any(distance(where, y) <= case.threshold for y in database)
     ]
 
 
@@ -46,14 +48,15 @@ def ranks(case, kind="cosine", *, beyond=None, members=None, ties="for", with_di
     """
     kept = evaluated_queries(case)
     pool = case.queries[kept] if case.pool is None else case.pool
-    pool_positions = case.query_positions[kept] if case.pool is None else case.pool_positions
+    pool_positions = (case.query_positions[kept] if case.pool is None else case.pool_positions).tolist()
+    database_positions, query_positions = case.database_positions.tolist(), case.query_positions.tolist()
     result = []
     for i in kept:
-        where = case.query_positions[i]
-        is_positive = [distance(where, y) <= case.threshold for y in case.database_positions]
-        entries = list(zip(similarity(kind, case.queries[i], case.database), is_positive, strict=True))
+        where = query_positions[i]
+        is_positive = [distance(where, y) <= case.threshold for y in database_positions]
+        entries = list(zip(similarity(kind, case.queries[i], case.database).tolist(), is_positive, strict=True))
         if with_distractors:
-            scores = similarity(kind, case.queries[i], pool)
+            scores = similarity(kind, case.queries[i], pool).tolist()
             for index, (score, y) in enumerate(zip(scores, pool_positions, strict=True)):
                 far = distance(where, y) > max(case.threshold, -1 if beyond is None else beyond)
                 if far and (members is None or index in members):

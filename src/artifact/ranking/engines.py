@@ -6,6 +6,8 @@ Both engines offer the same operations on blocks of rows and columns; the schedu
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -19,6 +21,7 @@ from artifact.ranking.counting import Counts, Groups, Lens, Places, Target, Tile
 from artifact.ranking.products import NumpyProduct, Product
 
 _COLUMNS = 1024  # columns of a product at a time: as much is copied or widened
+_DRIVERS = ("libcuda.so.1", "libamdhip64.so", "nvcuda.dll")  # CUDA's, or ROCm's, which PyTorch also calls CUDA
 _WORTH = 2**33  # multiplications of a pass from which on products are tried
 
 
@@ -121,7 +124,7 @@ class CpuEngine:
 
 def engine_for(device: Any) -> Engine:
     """Return the engine of a device; ``None`` takes CUDA if there is any, else the CPU."""
-    if str(device) == "cpu":
+    if str(device) == "cpu" or (device is None and not _has_driver()):
         return CpuEngine()
     import torch  # takes longer to import than many a ranking takes
 
@@ -130,3 +133,12 @@ def engine_for(device: Any) -> Engine:
     from artifact.ranking.engine_torch import TorchEngine
 
     return TorchEngine(torch.device("cuda" if device is None else device))
+
+
+def _has_driver() -> bool:
+    """Whether the driver of a GPU is on this machine: without one PyTorch, slow to import, need not be asked."""
+    for name in _DRIVERS:
+        with contextlib.suppress(OSError):
+            ctypes.CDLL(name)
+            return True
+    return False
