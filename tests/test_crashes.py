@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from jupyter_client import AsyncKernelManager
 
 from artifact import store
 from artifact.book import runner
@@ -197,7 +198,7 @@ def test_a_notebook_counts_only_when_it_is_whole(folder, power, monkeypatch):
     manifest = Manifest(folder / "data_manifest.yaml", folder, {}, {}, {})
     task, runs = runner.Task(folder / "page.py", {}, (), ()), []
 
-    def execute(_, path):
+    def execute(task, path, manager):
         runs.append(path)
         with store.replacing(path) as temporary:
             temporary.write_bytes(NEW)
@@ -205,7 +206,7 @@ def test_a_notebook_counts_only_when_it_is_whole(folder, power, monkeypatch):
     monkeypatch.setattr(runner, "_execute", execute)
 
     def work():
-        return runner._run_one(manifest, task, "k" * 64, force=False)
+        return runner._run_one(manifest, task, "k" * 64, AsyncKernelManager)
 
     def check():
         runs.clear()

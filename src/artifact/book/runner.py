@@ -23,13 +23,14 @@ from typing import Any
 
 import jupytext
 import papermill
+from jupyter_client import AsyncKernelManager
 from nbclient.exceptions import DeadKernelError
 from papermill.exceptions import PapermillExecutionError
 from tqdm import tqdm
 from traitlets.config import Config
 
 from artifact import datasets, methods, store
-from artifact.book import finishing, parameters
+from artifact.book import finishing, kernels, parameters
 from artifact.extraction import extract, timing
 from artifact.extraction.extract import ValuesAbsentError
 from artifact.manifest import TYPED_IN, Manifest
@@ -246,8 +247,8 @@ def run(
     """Run the tasks that have no stored result, in parallel, and put all executed notebooks into ``output``.
 
     If one fails, ``output`` keeps the pages of the last run that succeeded, and no page of this one. Everything that
-    the tasks use must be prepared. ``jobs`` run at once, by default as many as there are cores, at most 8; with
-    ``force`` also those with a stored result.
+    the tasks use must be prepared. ``jobs`` run at once, by default one more than there are cores (a kernel often
+    waits), at most 8; with ``force`` also those with a stored result.
 
     Raises
     ------
@@ -255,15 +256,16 @@ def run(
         If any notebook fails, after all have ended.
     """
     keys = _keys(manifest, tasks)
-    jobs = jobs or min(8, os.cpu_count() or 1)
+    jobs = jobs or min(8, (os.cpu_count() or 1) + 1)
     with (
         environment_of_kernels(manifest, threads=max(1, (os.cpu_count() or 1) // jobs)),
+        kernels.forked() as manager,
         ThreadPoolExecutor(jobs) as pool,
         tqdm(total=len(tasks), unit="notebook", desc="notebooks", leave=False, disable=None) as bar,
     ):
 
         def one(task: Task) -> Outcome:
-            outcome = _run_one(manifest, task, keys[task.page], force=force)
+            outcome = _run_one(manifest, task, keys[task.page], manager, force=force)
             bar.update()
             return outcome
 
@@ -342,7 +344,9 @@ def _stored_path(manifest: Manifest, name: str, key: str) -> Path:
     return manifest.cache / "notebooks" / f"{name}-{key[:24]}.ipynb"
 
 
-def _run_one(manifest: Manifest, task: Task, key: str, *, force: bool) -> Outcome:
+def _run_one(
+    manifest: Manifest, task: Task, key: str, manager: type[AsyncKernelManager], *, force: bool = False
+) -> Outcome:
     stored = _stored_path(manifest, task.page, key)
     begun = time.monotonic()
     try:
@@ -350,7 +354,7 @@ def _run_one(manifest: Manifest, task: Task, key: str, *, force: bool) -> Outcom
             record = None if force else store.find(stored, key)
             cached = record is not None
             if record is None:
-                results = _make(task, stored)
+                results = _make(task, stored, manager)
                 used = {"datasets": task.datasets, "methods": task.methods, "results": results}
                 record = store.seal(stored, {"key": key, "seconds": round(time.monotonic() - begun, 3), **used})
         return Outcome(task.page, key, cached, record["seconds"], stored=stored)
@@ -365,13 +369,13 @@ def _run_one(manifest: Manifest, task: Task, key: str, *, force: bool) -> Outcom
     return Outcome(task.page, key, False, time.monotonic() - begun, f"notebooks/{task.path.name}: {error}")
 
 
-def _make(task: Task, stored: Path) -> list[str]:
+def _make(task: Task, stored: Path, manager: type[AsyncKernelManager]) -> list[str]:
     """Run a notebook, or where no dataset suits it, put a page in its place that says so; return the results that it read."""
     if task.missing:
         _write_empty_page(task, stored, task.missing)
         return []
     try:
-        return _execute(task, stored)
+        return _execute(task, stored, manager)
     except PapermillExecutionError as fault:
         absent = fault.ename == ValuesAbsentError.__name__
         if not absent and (fault.ename != NothingToShowError.__name__ or task.dataset_asked):
@@ -380,7 +384,7 @@ def _make(task: Task, stored: Path) -> list[str]:
         return []
 
 
-def _execute(task: Task, stored: Path) -> list[str]:
+def _execute(task: Task, stored: Path, manager: type[AsyncKernelManager]) -> list[str]:
     """Run one notebook into ``stored`` and return the results that it read; if it fails, nothing is stored."""
     with store.replacing(stored) as temporary, tempfile.TemporaryDirectory() as folder:
         source = temporary.with_suffix(".source.ipynb")
@@ -397,6 +401,7 @@ def _execute(task: Task, stored: Path) -> list[str]:
                     cwd=task.path.parent,
                     request_save_on_cell_execute=False,
                     config=_sockets(folder),
+                    kernel_manager_class=manager,
                     extra_arguments=["--log-level=CRITICAL"],  # the kernel's own chatter; errors reach us as exceptions
                 )
             return finishing.finish(temporary, task.name, task.profile, task.changed)

@@ -111,7 +111,7 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument(
             "--set", default="", metavar="TEXT", help="several such parameters, with spaces between, as make SET='…'"
         )
-        sub.add_argument("--jobs", type=int, help="notebooks that run at once (default: the number of cores)")
+        sub.add_argument("--jobs", type=int, help="notebooks that run at once (default: one more than there are cores)")
         sub.add_argument("--force", action="store_true", help="run notebooks again even where nothing changed")
         work(sub)
 

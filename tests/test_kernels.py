@@ -1,0 +1,75 @@
+"""Kernels that are forked from one process: as those that start by themselves, only sooner."""
+
+import os
+import signal
+import sys
+import time
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+from nbclient.exceptions import DeadKernelError
+
+from artifact.book import kernels
+
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="kernels are forked on Linux only")
+
+
+@pytest.fixture(scope="module")
+def manager():
+    with kernels.forked() as found:
+        yield found
+
+
+def answers(manager, folder, *sources):
+    """Run cells in a kernel; return what they print."""
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(source) for source in sources])
+    client = NotebookClient(notebook, kernel_manager_class=manager, kernel_name="python3")
+    client.execute(cwd=str(folder))
+    return ["".join(output.get("text", "") for output in cell.outputs).strip() for cell in notebook.cells]
+
+
+def test_a_kernel_has_its_own_folder_environment_and_variables(manager, tmp_path, monkeypatch):
+    monkeypatch.setenv("SAID", "first")
+    first = answers(manager, tmp_path, "import os; kept = 1", "print(os.getcwd(), os.environ['SAID'], os.getppid())")
+    monkeypatch.setenv("SAID", "second")
+    second = answers(
+        manager, "/", "import os", "print(os.getcwd(), os.environ['SAID'], os.getppid(), 'kept' in globals())"
+    )
+    assert first[1].split()[:2] == [str(tmp_path), "first"]
+    assert second[1].split()[:2] == ["/", "second"]
+    assert second[1].split()[2:] == [first[1].split()[2], "False"], "both come from one process"
+
+
+def test_what_pages_import_is_there_when_a_kernel_starts(manager, tmp_path):
+    there, plotted = answers(
+        manager,
+        tmp_path,
+        "import sys; print({'numpy', 'pandas', 'matplotlib.pyplot', 'artifact.studies', 'torch'} & sys.modules.keys())",
+        "import numpy as np; print((np.ones((300, 300)) @ np.ones((300, 300))).sum())",
+    )
+    assert eval(there) == {"numpy", "pandas", "matplotlib.pyplot", "artifact.studies"}
+    assert plotted == "27000000.0"
+
+
+@pytest.mark.parametrize("end", ["os._exit(3)", "os.kill(os.getpid(), 9)"])
+def test_a_kernel_that_dies_is_noticed(manager, tmp_path, end):
+    with pytest.raises(DeadKernelError):
+        answers(manager, tmp_path, f"import os; {end}")
+
+
+def test_nothing_is_left_and_a_server_that_died_is_told(tmp_path):
+    with kernels.forked() as manager:
+        parent, own = answers(manager, tmp_path, "import os; print(os.getppid())", "print(os.getpid())")
+        os.kill(int(parent), signal.SIGKILL)
+        with pytest.raises(
+            RuntimeError, match=r"^the process that starts the notebooks has ended by itself; run again$"
+        ):
+            answers(manager, tmp_path, "1")
+    with kernels.forked() as manager:
+        parent, own = answers(manager, tmp_path, "import os; print(os.getppid())", "print(os.getpid())")
+    for pid in (int(parent), int(own)):
+        deadline = time.monotonic() + 10
+        while os.path.exists(f"/proc/{pid}") and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert not os.path.exists(f"/proc/{pid}")
