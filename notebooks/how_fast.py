@@ -38,7 +38,8 @@ from artifact.pages.scope import open_page
 
 page = open_page(profile, n_queries=n_queries, n_database=n_database, dimension=dimension, n_views=n_views)
 growth = studies.how_fast.growth([max(2, n_queries // part) for part in (4, 2, 1)], dimension)
-times = studies.how_fast.ranking_times(n_queries, n_database, dimension, n_views=n_views, repeats=2)
+made = studies.how_fast.synthetic(n_queries, n_database, dimension)
+times = studies.how_fast.ranking_times(made, n_views=n_views, repeats=2)
 
 # %% tags=["remove-input"]
 Markdown(pages.how_fast.costs_sentence(times))

@@ -10,7 +10,7 @@ from artifact.studies import how_fast
 
 @pytest.fixture(scope="module")
 def times():
-    return how_fast.ranking_times(90, 120, 64, n_views=2, repeats=1)
+    return how_fast.ranking_times(how_fast.synthetic(90, 120, 64), n_views=2, repeats=1)
 
 
 def test_shares_are_of_the_faster_bare_product_and_looks_are_counted(times):
@@ -40,7 +40,18 @@ def test_the_page_names_the_processor_and_draws_a_bar_for_each_work(times):
 
 
 def test_the_bench_prints_a_line_for_each_work():
-    lines = list(bench.ranking_lines(60, 80, 32, 1))
+    lines = list(bench.ranking_lines("made descriptors", how_fast.synthetic(60, 80, 32), 1))
     assert "symmetry leaves 0.79 of the pairs" in lines[0]
     assert any(line.startswith(f"  {how_fast.COUNTS}: ") and "in float64" in line for line in lines)
     assert all("MiB beyond the inputs" in line for line in bench.growth_lines([30, 60], 16))
+
+
+def test_real_descriptors_come_again_with_noise_and_are_recognised():
+    queries, database, *places = how_fast.tiled(450, 500)
+    np.testing.assert_allclose(np.linalg.norm(queries, axis=1), 1, rtol=1e-6)
+    assert queries.shape == (450, 1792) and database.shape == (500, 1792) and [len(p) for p in places] == [450, 500]
+    nearest = (queries @ queries[:200].T)[200:400].argmax(axis=1)
+    assert (nearest == np.arange(200)).all(), "the same frame is the most similar one of the next turn"
+    assert (queries[0] != queries[200]).all()
+    apart = np.abs((queries @ database[:200].T).argmax(axis=1) - np.arange(450) % 200)
+    assert np.median(apart) <= 2, "day and night show the same places"

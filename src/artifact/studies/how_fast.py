@@ -11,18 +11,22 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from artifact.datasets import shipped
 from artifact.metrics.evaluate import evaluate
 from artifact.ranking import products
 from artifact.ranking.one_pass import Work
 from artifact.suppression.lowrank import LowRankMap
 
+Made = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
 _BLOCK = 1024
 _THRESHOLD = 25.0
 _TOP = 100
+_NOISE = 0.1  # length of what is added to a real descriptor, whose length is 1
 COUNTS, LISTS, NO_DISTRACTORS = "counts and both sweeps", "with retrieval lists of 10", "without distractors"
 
 
-def synthetic(n_queries: int, n_database: int, dimension: int, seed: int = 0) -> tuple[np.ndarray, ...]:
+def synthetic(n_queries: int, n_database: int, dimension: int, seed: int = 0) -> Made:
     """Return unit descriptors and positions of a drive of about a metre a frame, with some condition in them.
 
     Queries share a direction, so that part of the distractors beat the positives, as real distractors do.
@@ -40,18 +44,30 @@ def synthetic(n_queries: int, n_database: int, dimension: int, seed: int = 0) ->
     strength = rng.uniform(0.05, 0.5, (n_queries, 1)).astype(np.float32)
     queries = unit(noise + 0.08 * database[nearest] + strength * condition)
     places = [np.column_stack([along, np.zeros_like(along)]) for along in (along_queries, along_database)]
-    return queries, database, *places
+    return queries, database, places[0], places[1]
 
 
-def ranking_times(
-    n_queries: int, n_database: int, dimension: int, *, n_views: int = 0, repeats: int = 3
-) -> pd.DataFrame:
+def tiled(n_queries: int, n_database: int, method: str = "efficientnet_lite0_vlad", seed: int = 0) -> Made:
+    """Return the real descriptors of Gardens Point that ship, day and night, again and again with some noise."""
+    rng = np.random.default_rng(seed)
+
+    def rows(name: str, n: int) -> np.ndarray:
+        stored = np.load(shipped.folder() / "gardens_point" / f"{name}-{method}.npy", allow_pickle=False)
+        noise = rng.standard_normal((n, stored.shape[1]), dtype=np.float32) * np.float32(_NOISE / stored.shape[1] ** 0.5)
+        found = np.resize(stored, (n, stored.shape[1])).astype(np.float32) + noise
+        return found / np.linalg.norm(found, axis=1, keepdims=True)
+
+    places = [_THRESHOLD / 2 * np.column_stack([np.arange(n), np.zeros(n)]) for n in (n_queries, n_database)]
+    return rows("day_right", n_queries), rows("night_right", n_database), places[0], places[1]
+
+
+def ranking_times(made: Made, *, n_views: int = 0, repeats: int = 3) -> pd.DataFrame:
     """Time an evaluation on the CPU and what it can be compared with, in turns; the least of some repeats.
 
     Parameters
     ----------
-    n_queries, n_database, dimension
-        Size of the made descriptors; the distractors are the queries.
+    made
+        Descriptors of queries and database and their positions; the distractors are the queries.
     n_views
         Also evaluate with so many INLP views of up to 35 directions.
 
@@ -64,7 +80,8 @@ def ranking_times(
     """
     import torch
 
-    queries, database, *where = synthetic(n_queries, n_database, dimension)
+    queries, database, *where = made
+    dimension = queries.shape[1]
     basis = np.linalg.qr(np.random.default_rng(1).standard_normal((dimension, 35)))[0]
     ranks = [1 + number * 34 // max(1, n_views - 1) for number in range(n_views)]
     views = {str(k): LowRankMap(basis[:, :k], basis[:, :k], np.zeros(k)) for k in ranks}
@@ -98,7 +115,7 @@ def ranking_times(
     frame["second"] = [work and work.second_looks for work in looked]
     frame["third"] = [work and work.third_looks for work in looked]
     frame["product"] = [work and work.product for work in looked]
-    sizes = {"queries": n_queries, "database": n_database, "dimension": dimension}
+    sizes = {"queries": len(queries), "database": len(database), "dimension": dimension}
     return frame.assign(processor=processor(), **sizes)
 
 

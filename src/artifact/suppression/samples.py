@@ -52,24 +52,32 @@ def _chunks(width: int) -> list[slice]:
 
 
 def gram_matrix(X: np.ndarray, mean: np.ndarray, device: Any) -> np.ndarray:
-    """Return ``(X - mean)(X - mean)'`` in float64, a slice of columns at a time."""
-    import torch
-
-    target = torch.device(device or "cpu")
-    total = torch.zeros((len(X), len(X)), dtype=torch.float64, device=target)
+    """Return ``(X - mean)(X - mean)'`` in float64, a slice of columns and of rows at a time; half of it is multiplied."""
+    total = np.zeros((len(X), len(X)))
+    rows = [slice(start, min(start + _CHUNK, len(X))) for start in range(0, len(X), _CHUNK)]
     for columns in _chunks(X.shape[1]):
         part = X[:, columns].astype(np.float64) - mean[columns]
-        block = torch.from_numpy(part).to(target)
-        total.addmm_(block, block.T)
-    return total.cpu().numpy()
+        for some in rows:
+            total[some, : some.stop] += _product(part[some], part[: some.stop], device)
+    for some in rows:
+        total[: some.start, some] = total[some, : some.start].T
+    return total
 
 
 def scatter_matrix(X: np.ndarray, mean: np.ndarray, device: Any) -> np.ndarray:
     """Return ``(X - mean)'(X - mean)`` in float64; for more rows than columns."""
+    block = (X.astype(np.float64) - mean).T
+    return _product(block, block, device)
+
+
+def _product(left: np.ndarray, right: np.ndarray, device: Any) -> np.ndarray:
+    """Return ``left @ right.T``."""
+    if device is None or str(device) == "cpu":
+        return left @ right.T
     import torch
 
-    block = torch.from_numpy(X.astype(np.float64) - mean).to(torch.device(device or "cpu"))
-    return (block.T @ block).cpu().numpy()
+    there = (torch.from_numpy(np.ascontiguousarray(side)).to(device) for side in (left, right))
+    return (next(there) @ next(there).T).cpu().numpy()
 
 
 def weighted_sum(X: np.ndarray, mean: np.ndarray, weights: np.ndarray) -> np.ndarray:
