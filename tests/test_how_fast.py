@@ -49,7 +49,8 @@ def test_the_bench_prints_a_line_for_each_work():
 def test_real_descriptors_come_again_with_noise_and_are_recognised():
     queries, database, *places = how_fast.tiled(450, 500)
     np.testing.assert_allclose(np.linalg.norm(queries, axis=1), 1, rtol=1e-6)
-    assert queries.shape == (450, 1792) and database.shape == (500, 1792) and [len(p) for p in places] == [450, 500]
+    assert [rows.shape for rows in (queries, database)] == [(450, 1792), (500, 1792)]
+    assert [len(rows) for rows in places] == [450, 500]
     nearest = (queries @ queries[:200].T)[200:400].argmax(axis=1)
     assert (nearest == np.arange(200)).all(), "the same frame is the most similar one of the next turn"
     assert (queries[0] != queries[200]).all()

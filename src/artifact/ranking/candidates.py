@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from artifact.datasets.positives import as_columns
+from artifact.ranking.arithmetic import Dots
 from artifact.ranking.compiled import compiled, threads
 from artifact.ranking.one_pass import evaluated_queries
 from artifact.ranking.similarity import Looks, described, views_of
@@ -156,8 +157,9 @@ def _similarities(
         return {name: partial(_of_codes, _signs(queries), _signs(codes)) for name, codes in sets.items()}
     with threads() as executor:
         ours, *theirs = (views_of(rows, {"": None})[""] for rows in described([queries, *sets.values()], executor))
-        looks = {name: Looks(ours, images, "cosine", executor) for name, images in zip(sets, theirs, strict=True)}
-    return {name: one.table for name, one in looks.items()}
+        dots = [Dots(queries, rows, executor) for rows in sets.values()]
+    looks = [Looks(ours, images, "cosine", one) for images, one in zip(theirs, dots, strict=True)]
+    return {name: one.table for name, one in zip(sets, looks, strict=True)}
 
 
 def _of_codes(queries: np.ndarray, images: np.ndarray, rows: slice) -> np.ndarray:

@@ -16,6 +16,8 @@ import numpy as np
 from artifact.ranking.compiled import compiled
 
 _CHUNK = 128  # columns that are tested together before any of them is looked at alone
+_ALMOST = 1 - 2.0**-50
+_NONE: Any = np.int32(0)  # what narrow sums begin with
 
 
 class Tile(NamedTuple):
@@ -170,11 +172,13 @@ def count_rows(tile: Tile, lens: Lens, target: Target, groups: Groups, counts: C
         total = 0
         for begin in range(0, columns, _CHUNK):
             end = min(begin + _CHUNK, columns)
-            above, below = 0, 0
-            for column in range(begin, end):
-                middle, width = level * scale[column] + bias[column], reach * reaches[column]
-                above += line[column] > middle + width
-                below += line[column] < middle - width
+            # Slices and narrow sums: only so does the compiler use vectors.
+            part, factor, shift, near = line[begin:end], scale[begin:end], bias[begin:end], reaches[begin:end]
+            above, below = _NONE, _NONE
+            for offset in range(part.size):
+                middle, width = level * factor[offset] + shift[offset], reach * near[offset]
+                above += np.int32(part[offset] > middle + width)
+                below += np.int32(part[offset] < middle - width)
             total += above
             if above + below == end - begin:
                 continue
@@ -205,16 +209,15 @@ def count_rows(tile: Tile, lens: Lens, target: Target, groups: Groups, counts: C
 
 
 @compiled()
-def _distances(here: np.ndarray, pool_positions: np.ndarray, begin: int, out: np.ndarray) -> None:
-    """Write the distances from one position to ``out.size`` pool images from ``begin`` on."""
+def _squared_distances(here: np.ndarray, there: np.ndarray, out: np.ndarray) -> None:
+    """Write the squared distances from one position to those of ``there``, ``(axes, n)``."""
     for place in range(out.size):
         out[place] = 0.0
     for axis in range(here.size):
+        along = there[axis]
         for place in range(out.size):
-            difference = here[axis] - pool_positions[begin + place, axis]
+            difference = here[axis] - along[place]
             out[place] += difference * difference
-    for place in range(out.size):
-        out[place] = np.sqrt(out[place])
 
 
 @compiled()
@@ -246,39 +249,46 @@ def sweep_rows(
     ``orders`` is ``(pool, draws)``: the place of each pool image in each random order, and ``earliest`` its smallest
     place. The loops over a chunk have no branches; only a chunk that changes a list is looked at image by image.
     """
-    positions, pool_positions, threshold = places
+    positions, threshold = places.queries, places.threshold
     rows, columns = tile.values.shape
-    out, distance = np.empty(columns, np.float32), np.empty(_CHUNK)
-    above = np.empty(_CHUNK, np.bool_)
-    last = counts.farthest.shape[1] - 1
+    out, squares, outranks = np.empty(columns, np.float32), np.empty(_CHUNK), np.empty(_CHUNK, np.int32)
+    there = np.ascontiguousarray(places.pool[tile.first_column :][:columns].T)
+    last, draws = counts.farthest.shape[1] - 1, orders.shape[1]
     scale, bias = lens.scale[tile.first_column :][:columns], lens.bias[tile.first_column :][:columns]
-    reaches = lens.image_reach[tile.first_column :][:columns]
+    reaches, earliest = lens.image_reach[tile.first_column :][:columns], earliest[tile.first_column :][:columns]
     for row in range(rows):
         query = tile.first_row + row
         line = _line(tile, lens, row, out)
         level, reach = target.level[query], lens.query_reach[query]
         farthest, first = counts.farthest[query], counts.first[query]
         for begin in range(0, columns, _CHUNK):
-            size, reached = min(_CHUNK, columns - begin), 0
-            for place in range(size):
-                column = begin + place
-                outranks = line[column] > level * scale[column] + bias[column] + reach * reaches[column]
-                above[place] = outranks
-                reached += outranks
+            end = min(begin + _CHUNK, columns)
+            part, factor, shift, near = line[begin:end], scale[begin:end], bias[begin:end], reaches[begin:end]
+            reached = _NONE
+            for place in range(part.size):
+                outranking = np.int32(part[place] > level * factor[place] + shift[place] + reach * near[place])
+                outranks[place] = outranking
+                reached += outranking
             if reached == 0:
                 continue
-            apart, image = distance[:size], tile.first_column + begin
-            _distances(positions[query], pool_positions, image, apart)
-            limit, latest = max(threshold, farthest[last]), first[last].max() if first.shape[1] else 0
-            changing = 0
-            for place in range(size):
-                lists = (apart[place] > limit) | ((apart[place] > threshold) & (earliest[image + place] < latest))
-                changing += above[place] & lists
+            squared, early = squares[: part.size], earliest[begin:end]
+            _squared_distances(positions[query], there[:, begin:end], squared)
+            latest = _NONE
+            for draw in range(draws):
+                latest = max(latest, first[last, draw])
+            # A root rounds by less than these squares: whatever changes a list is among what they let pass.
+            allowed, farther = _ALMOST * threshold**2, _ALMOST * max(threshold, farthest[last]) ** 2
+            changing = _NONE
+            for place in range(part.size):
+                soon = np.int32(squared[place] >= allowed) & np.int32(early[place] < latest)
+                outranks[place] &= np.int32(squared[place] >= farther) | soon
+                changing += outranks[place]
             if changing:
-                for place in range(size):
-                    news = apart[place] > farthest[last] or earliest[image + place] < latest
-                    if above[place] and apart[place] > threshold and news:
-                        _insert(apart[place], image + place, farthest, first, orders)
+                for place in range(part.size):
+                    if outranks[place]:
+                        apart = np.sqrt(squared[place])
+                        if apart > threshold and (apart > farthest[last] or early[place] < latest):
+                            _insert(apart, tile.first_column + begin + place, farthest, first, orders)
 
 
 @compiled()
@@ -287,8 +297,8 @@ def sweep_pairs(pairs: np.ndarray, places: Places, orders: np.ndarray, counts: C
     apart = np.empty(1)
     for pair in range(pairs.shape[0]):
         query, image = pairs[pair, 0], pairs[pair, 1]
-        _distances(places.queries[query], places.pool, image, apart)
-        _insert(apart[0], image, counts.farthest[query], counts.first[query], orders)
+        _squared_distances(places.queries[query], places.pool[image : image + 1].T, apart)
+        _insert(np.sqrt(apart[0]), image, counts.farthest[query], counts.first[query], orders)
 
 
 @compiled()
@@ -303,9 +313,10 @@ def top_rows(tile: Tile, lens: Lens, groups: Groups, similarity: np.ndarray, ind
         line = _line(tile, lens, row, out)
         own, values, labels = members[starts[query] : starts[query + 1]], similarity[query], index[query]
         for begin in range(0, columns, _CHUNK):
-            end, reached, floor = min(begin + _CHUNK, columns), 0, values[last]
-            for column in range(begin, end):
-                reached += line[column] > floor * scale[column] + bias[column]
+            end, reached, floor = min(begin + _CHUNK, columns), _NONE, values[last]
+            part, factor, shift = line[begin:end], scale[begin:end], bias[begin:end]
+            for offset in range(part.size):
+                reached += np.int32(part[offset] > floor * factor[offset] + shift[offset])
             if reached == 0:
                 continue
             for column in range(begin, end):

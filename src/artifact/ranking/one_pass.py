@@ -20,6 +20,7 @@ import numpy as np
 
 from artifact.datasets.positives import positives_of
 from artifact.ranking import counting, lenses
+from artifact.ranking.arithmetic import Dots
 from artifact.ranking.counting import Counts, Groups, Lens, Places, Tile
 from artifact.ranking.engines import Engine, engine_for
 from artifact.ranking.lists import SPARE, Listed, top_lists
@@ -198,7 +199,7 @@ class _Pass:
         def look_seconds(product: Product) -> float:
             if not sample:
                 plain = views_of(database, {ORIGINAL: None})[ORIGINAL]
-                looks = self._looks(ORIGINAL, plain)
+                looks = self._looks(plain, self._dots(database), ORIGINAL)
                 sample.append(lenses.Sample(self.rows, database, self.positives, self.options.similarity, looks))
             return sample[0].unsure(product) * sample[0].pair_seconds * pairs * len(self.transforms)
 
@@ -208,7 +209,8 @@ class _Pass:
         """Multiply blocks of queries with the whole database: best positives, and the images that outrank them."""
         options, n, everything = self.options, len(self.queries), slice(0, len(database))
         columns = views_of(rows, self.transforms)
-        self.looks = {view: self._looks(view, columns[view]) for view in self.transforms}
+        dots = self._dots(rows)
+        self.looks = {view: self._looks(columns[view], dots, view) for view in self.transforms}
         for view in self.transforms:
             self._limits[view] = lenses.limits(self.views[view], columns[view], options.similarity)
         seen = self._lenses(columns)
@@ -240,7 +242,8 @@ class _Pass:
         """Count the allowed distractors of one pool that outrank each query's best positive."""
         options, n, own = self.options, len(self.queries), pool is self.queries
         columns = self.views if own else views_of(rows, self.transforms)
-        looks = {view: self._looks(view, columns[view]) for view in self.transforms}
+        dots = self._dots(rows)
+        looks = {view: self._looks(columns[view], dots, view) for view in self.transforms}
         seen, targets = self._lenses(columns), {}
         for view in self.transforms:
             targets[view] = lenses.target(self.best[view], self._limits[view])
@@ -275,8 +278,11 @@ class _Pass:
             found[view] = self._finished(kept[view], [self._listed[view], listed])
         return found
 
-    def _looks(self, view: str, images: View) -> Looks:
-        return Looks(self.views[view], images, self.options.similarity, self.engine.executor)
+    def _dots(self, images: Rows) -> Dots:
+        return Dots(self.rows.descriptors, images.descriptors, self.engine.executor)
+
+    def _looks(self, images: View, dots: Dots, view: str) -> Looks:
+        return Looks(self.views[view], images, self.options.similarity, dots)
 
     def _lenses(self, columns: Mapping[str, View]) -> dict[str, Lens]:
         ours, theirs = self.views[ORIGINAL].rows, columns[ORIGINAL].rows

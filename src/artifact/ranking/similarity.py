@@ -36,21 +36,18 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from math import frexp, isqrt, ldexp
+from math import frexp, ldexp
 from typing import Literal, Protocol
 
 import numpy as np
 
+from artifact.ranking.arithmetic import ANY_ORDER, STEP, WIDENED, Dots, exact_products, nearest_float32, root
 from artifact.ranking.compiled import compiled
 
 Similarity = Literal["cosine", "dot", "l2"]
 
 _UNIT = 2.0**-53
-_STEP = 512  # columns that are summed by themselves
-_LIMB = 18  # bits: products of two, summed over 2¹⁷ columns, stay below 2⁵³
-_WIDENED = 2**21  # values of half-precision rows, or of a block of rows, that are widened at a time
 _PAIRS = 2**16  # pairs that are looked at together
-_ANY_ORDER = {"reassoc", "contract"}  # the bound holds for every order of summation
 
 
 class LowRank(Protocol):
@@ -96,7 +93,7 @@ def described(sets: Sequence[np.ndarray], executor: Executor) -> list[Rows]:
 def squared_norms(descriptors: np.ndarray) -> np.ndarray:
     """Return ``(n,)`` float64 squared lengths, a block of rows at a time."""
     squared = np.empty(len(descriptors))
-    step = max(1, _WIDENED // descriptors.shape[1])
+    step = max(1, WIDENED // descriptors.shape[1])
     for start in range(0, len(descriptors), step):
         rows = slice(start, start + step)
         _squares(np.ascontiguousarray(descriptors[rows], np.float32), squared[rows])
@@ -114,18 +111,18 @@ def _facts(descriptors: np.ndarray, executor: Executor) -> tuple[np.ndarray, np.
         _squares(block, squared[rows])
         _digests(block, block.view(np.uint32), digests[rows], coarse[rows])
 
-    step = max(1, _WIDENED // d)
+    step = max(1, WIDENED // d)
     list(executor.map(look, range(0, n, step)))
     return squared, digests, coarse
 
 
-@compiled(fastmath=_ANY_ORDER)
+@compiled(fastmath=ANY_ORDER)
 def _squares(block: np.ndarray, out: np.ndarray) -> None:
     for row in range(block.shape[0]):
         total = 0.0
-        for begin in range(0, block.shape[1], _STEP):
+        for begin in range(0, block.shape[1], STEP):
             part = 0.0
-            for column in range(begin, min(begin + _STEP, block.shape[1])):
+            for column in range(begin, min(begin + STEP, block.shape[1])):
                 part += np.float64(block[row, column]) * np.float64(block[row, column])
             total += part
         out[row] = total
@@ -207,7 +204,7 @@ def views_of(rows: Rows, transforms: Mapping[str, Transform | None]) -> dict[str
     """Project images once for all views."""
     n, d = rows.descriptors.shape
     x = np.sqrt(rows.squared)
-    sums = _STEP + -(-d // _STEP)
+    sums = STEP + -(-d // STEP)
     found = {}
     project = _projector(rows.descriptors, [t for t in transforms.values() if t])
     for name, transform in transforms.items():
@@ -243,7 +240,7 @@ def _projector(descriptors: np.ndarray, transforms: list[Transform]) -> Callable
                 places.setdefault(column.tobytes(), len(places))
     directions = np.array([np.frombuffer(column) for column in places]).reshape(len(places), descriptors.shape[1])
     out = np.empty((len(descriptors), len(places)))
-    step = max(1, _WIDENED // descriptors.shape[1])
+    step = max(1, WIDENED // descriptors.shape[1])
     for start in range(0, len(descriptors) if places else 0, step):
         out[start : start + step] = _product(descriptors[start : start + step], directions.T)
 
@@ -256,8 +253,8 @@ def _projector(descriptors: np.ndarray, transforms: list[Transform]) -> Callable
 def _product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Return a matrix product in float64 that sums blocks of columns by themselves."""
     out = np.zeros((left.shape[0], right.shape[1]))
-    for start in range(0, left.shape[1], _STEP):
-        out += left[:, start : start + _STEP].astype(np.float64) @ right[start : start + _STEP]
+    for start in range(0, left.shape[1], STEP):
+        out += left[:, start : start + STEP].astype(np.float64) @ right[start : start + STEP]
     return out
 
 
@@ -267,8 +264,8 @@ class Looks:
     A *level* is what orders images for a query: ``q·c / |c|``, ``q·c``, or ``q·c - |c|² / 2`` for ``l2``.
     """
 
-    def __init__(self, queries: View, images: View, kind: Similarity, executor: Executor) -> None:
-        self.queries, self.images, self.kind, self._executor = queries, images, kind, executor
+    def __init__(self, queries: View, images: View, kind: Similarity, dots: Dots) -> None:
+        self.queries, self.images, self.kind, self._dots = queries, images, kind, dots
         self._exact_keys: dict[tuple[int, int], Fraction] = {}  # few, but for many duplicates
 
     def identities(self, j: np.ndarray) -> np.ndarray:
@@ -294,7 +291,7 @@ class Looks:
     def _levels(self, i: np.ndarray, j: np.ndarray, value: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         queries, images = self.queries, self.images
         if value is None:
-            value = dots(queries.rows.descriptors, i, images.rows.descriptors, j, self._executor)
+            value = self._dots(i, j)
         value -= np.einsum("nk,nk->n", queries.a[i], images.u[j])
         value -= np.einsum("nk,nk->n", queries.remainder[i], images.a[j])
         doubt = queries.unit * np.einsum("nt,nt->n", queries.as_query[i], images.as_image[j])
@@ -369,7 +366,7 @@ class Looks:
     def _rounded(self, i: int, j: int) -> np.float32:
         key, squared = self.exact(i, j), self._exact(self.queries, i, self.queries, i)
         if self.kind == "cosine":
-            return nearest_float32(_root(key / squared) if squared else Fraction(0))
+            return nearest_float32(root(key / squared) if squared else Fraction(0))
         return nearest_float32(2 * key - squared if self.kind == "l2" else key)
 
 
@@ -402,76 +399,3 @@ class Best:
             chosen[place] = max(rivals, key=lambda r: (looks.exact(int(i[r]), int(j[r])), -j[r]))
         self.index[queries], self.identity[queries] = j[chosen], looks.identities(j[chosen])
         self.level[queries], self.doubt[queries] = level[chosen], doubt[chosen]
-
-
-def dots(X: np.ndarray, i: np.ndarray, Y: np.ndarray, j: np.ndarray, executor: Executor) -> np.ndarray:
-    """Return the inner products ``X[i] · Y[j]`` in float64."""
-    out = np.empty(len(i))
-    plain = X.dtype == Y.dtype == np.float32 and X.flags.c_contiguous and Y.flags.c_contiguous
-    step = max(1, min(2048, -(-len(i) // 8)) if plain else _WIDENED // X.shape[1])
-
-    def part(start: int) -> None:
-        some = slice(start, start + step)
-        if plain:
-            _dots(X, i[some], Y, j[some], out[some])
-        else:
-            left, right = (np.ascontiguousarray(Z[k[some]], np.float32) for Z, k in ((X, i), (Y, j)))
-            every = np.arange(len(left))
-            _dots(left, every, right, every, out[some])
-
-    list(executor.map(part, range(0, len(i), step)))
-    return out
-
-
-@compiled(fastmath=_ANY_ORDER)
-def _dots(X: np.ndarray, i: np.ndarray, Y: np.ndarray, j: np.ndarray, out: np.ndarray) -> None:
-    for pair in range(i.size):
-        left, right, total = X[i[pair]], Y[j[pair]], 0.0
-        for begin in range(0, left.size, _STEP):
-            part = 0.0
-            for column in range(begin, min(begin + _STEP, left.size)):
-                part += np.float64(left[column]) * np.float64(right[column])
-            total += part
-        out[pair] = total
-
-
-def exact_products(X: np.ndarray, Y: np.ndarray) -> np.ndarray:
-    """Return ``X @ Y.T`` as an array of :class:`fractions.Fraction`."""
-    (left, top_left), (right, top_right) = _limbs(X), _limbs(Y)
-    whole = np.einsum("lnd,mkd->lmnk", left, right, optimize=True).astype(np.int64).astype(object)
-    total = np.zeros(whole.shape[2:], object)
-    last = len(left) + len(right) - 2
-    for high, parts in enumerate(whole):
-        for low, part in enumerate(parts):
-            total = total + part * 2 ** (_LIMB * (last - high - low))
-    exponent = top_left + top_right - _LIMB * (last + 2)
-    scale = Fraction(2) ** exponent
-    return np.array([scale * int(value) for value in total.ravel()], object).reshape(total.shape)
-
-
-def _limbs(X: np.ndarray) -> tuple[np.ndarray, int]:
-    """Cut values into whole numbers of few bits: ``X = Σ limbs[l] 2^(top - 18 (l + 1))``."""
-    rest = X.astype(np.float64)
-    top = int(np.frexp(np.abs(rest).max(initial=0.0))[1])
-    rest, limbs = np.ldexp(rest, -top), list[np.ndarray]()
-    while rest.any() or not limbs:
-        rest = np.ldexp(rest, _LIMB)
-        limbs.append(np.trunc(rest))
-        rest = rest - limbs[-1]
-    return np.stack(limbs), top
-
-
-def _root(value: Fraction) -> Fraction:
-    """Return the square root of the absolute value with the sign, good to 2⁻²⁵⁶ of it or exact."""
-    size = abs(value)
-    shift = 512 + 2 * max(0, size.denominator.bit_length() - size.numerator.bit_length())
-    root = Fraction(isqrt((size.numerator << shift) * size.denominator), size.denominator << (shift // 2))
-    return root if value > 0 else -root
-
-
-def nearest_float32(value: Fraction) -> np.float32:
-    """Round to float32, to even in the middle of two."""
-    near = float(value)  # the float64 next to it, which may be the middle of two float32 without the value being it
-    if Fraction(near) != value and np.float64(near).view(np.int64) & (2**29 - 1) == 2**28:
-        near = float(np.nextafter(near, np.inf if value > Fraction(near) else -np.inf))
-    return np.float32(near)

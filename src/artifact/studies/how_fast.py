@@ -53,11 +53,13 @@ def tiled(n_queries: int, n_database: int, method: str = "efficientnet_lite0_vla
 
     def rows(name: str, n: int) -> np.ndarray:
         stored = np.load(shipped.folder() / "gardens_point" / f"{name}-{method}.npy", allow_pickle=False)
-        noise = rng.standard_normal((n, stored.shape[1]), dtype=np.float32) * np.float32(_NOISE / stored.shape[1] ** 0.5)
+        noise = rng.standard_normal((n, stored.shape[1]), dtype=np.float32) * np.float32(
+            _NOISE / stored.shape[1] ** 0.5
+        )
         found = np.resize(stored, (n, stored.shape[1])).astype(np.float32) + noise
         return found / np.linalg.norm(found, axis=1, keepdims=True)
 
-    places = [_THRESHOLD / 2 * np.column_stack([np.arange(n), np.zeros(n)]) for n in (n_queries, n_database)]
+    places = [_THRESHOLD / 2 * np.column_stack([np.arange(n) % 200, np.zeros(n)]) for n in (n_queries, n_database)]
     return rows("day_right", n_queries), rows("night_right", n_database), places[0], places[1]
 
 
