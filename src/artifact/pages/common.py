@@ -135,8 +135,8 @@ def findings(*found: Finding) -> HTML:
     return join(
         markup(
             f'<div class="claim">{5 * line}</div>',
-            *("Claim", one.claim, "Paper", one.paper, "Agrees if", one.rule),
-            *("This run", markup("{} {}", minus(one.found), verdict(one.verdict)), "Why", minus(one.judged.why)),
+            *("Claim", one.claim, "Paper", typeset(one.paper), "Agrees if", typeset(one.rule)),
+            *("This run", markup("{} {}", typeset(one.found), verdict(one.verdict)), "Why", typeset(one.judged.why)),
         )
         for one in found
     )
@@ -152,9 +152,9 @@ def findings_table(found: Sequence[Finding]) -> HTML:
     """Show all findings as one table with links to their pages."""
     rows = []
     for one in found:
-        row = {"Claim": one.claim, "The paper": one.paper, "This run": minus(one.found)}
+        row = {"Claim": one.claim, "The paper": typeset(one.paper), "This run": typeset(one.found)}
         link = markup('<a href="{}.html">{}</a>', one.page, PAGES[one.page])
-        rows.append(row | {"Verdict": verdict(one.verdict), "Why": minus(one.judged.why), "Page": link})
+        rows.append(row | {"Verdict": verdict(one.verdict), "Why": typeset(one.judged.why), "Page": link})
     return table(rows, classes="findings")
 
 
@@ -217,6 +217,17 @@ def minus(text: str) -> str:
     '−1.5 pp (p = 2e-05) since 2015-10-29, interval [−2, −1]'
     """
     return re.sub(r"(?<![\w−-])-(?=\.?\d)", "−", text)
+
+
+def typeset(text: str) -> str:
+    r"""Print a sentence: minus signs, and no line break between a number and its unit.
+
+    Examples
+    --------
+    >>> typeset("falls from 62.5 % by -1.5 pp")
+    'falls from 62.5\xa0% by −1.5\xa0pp'
+    """
+    return re.sub(r"(?<=\d) (?=%|pp\b|m\b)", "\u00a0", minus(text))
 
 
 def interval(low: float, high: float) -> str:
