@@ -373,7 +373,19 @@ def test_a_file_that_was_only_touched_is_read_again_once(tmp_path, monkeypatch):
     for _ in range(3):
         assert weights.state("tiny", entry).status == "present"
     assert read == [path]
-    assert json.loads(path.with_name("tiny.pth.lock.json").read_text())["mtime_ns"] == 10**18
+    assert json.loads(path.with_name("tiny.pth.lock.json").read_text())["stamp"] == [*store.stamp(path)]
+
+
+def test_a_file_that_changed_behind_its_time_stamp_is_refused(tmp_path):
+    entry = entry_of(tmp_path)
+    path = put(entry, packed(state_of(), tmp_path))
+    methods.model_of("tiny", entry)
+    stamp, content = path.stat().st_mtime_ns, bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    os.utime(path, ns=(stamp, stamp))
+    with pytest.raises(WeightsError, match=r"its SHA-256 is \w{64}, but \w{64} was recorded on"):
+        methods.model_of("tiny", entry)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", "not json"])
@@ -426,7 +438,6 @@ def test_locked_weights_are_not_read_to_find_descriptors(tmp_path, monkeypatch):
     entry = entry_of(tmp_path)
     put(entry, packed(state_of(), tmp_path))
     methods.model_of("tiny", entry)
-    weights.lock._sha256.cache_clear()
     digest_of_file = store.digest_of_file
 
     def only_sources(path):

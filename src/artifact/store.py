@@ -127,8 +127,8 @@ def digest_of_array(array: np.ndarray) -> str:
 
 def digest_of_file(path: Path) -> str:
     """Return the SHA-256 of a file's bytes; a file that is not written in between is read once per process."""
-    stamp = _stamp(path)
-    return _digest_under(path, stamp) if _is_settled(stamp) else _read_digest(path)
+    now = stamp(path)
+    return _digest_under(path, now) if _is_settled(now) else _read_digest(path)
 
 
 def _read_digest(path: Path) -> str:
@@ -141,14 +141,14 @@ def _digest_under(path: Path, _: tuple[int, ...]) -> str:
     return _read_digest(path)
 
 
-def _stamp(path: Path) -> tuple[int, ...]:
-    """What changes whenever a file is written: its inode and change time too, which nobody can set."""
+def stamp(path: Path) -> tuple[int, ...]:
+    """Return what changes whenever a file is written: its size, times and inode; the change time nobody can set."""
     status = path.stat()
     return status.st_size, status.st_mtime_ns, status.st_ino, status.st_ctime_ns
 
 
-def _is_settled(stamp: tuple[int, ...]) -> bool:
-    return time.time_ns() - stamp[-1] > _SETTLED
+def _is_settled(found: tuple[int, ...]) -> bool:
+    return time.time_ns() - found[-1] > _SETTLED
 
 
 def digest_of_files(paths: Sequence[Path], cache: Path | None = None) -> list[str]:
@@ -166,10 +166,10 @@ def digest_of_files(paths: Sequence[Path], cache: Path | None = None) -> list[st
     with _memory_of(paths, cache) as memory:
         digests = []
         for path in paths:
-            stamp = _stamp(path)
-            digest = _known(memory, path, stamp) or digest_of_file(path)
-            if _is_settled(stamp):
-                memory[str(path)] = [*stamp, digest]
+            now = stamp(path)
+            digest = _known(memory, path, now) or digest_of_file(path)
+            if _is_settled(now):
+                memory[str(path)] = [*now, digest]
             digests.append(digest)
     return digests
 
@@ -180,7 +180,7 @@ def changed_in_silence(paths: Sequence[Path], cache: Path) -> list[Path]:
     A disk does that, or whoever sets the clock back. Their digests are forgotten, so that they count as they are now.
     """
     with _memory_of(paths, cache) as memory:
-        changed = [p for p in paths if _known(memory, p, _stamp(p)) not in (None, digest_of_file(p))]
+        changed = [p for p in paths if _known(memory, p, stamp(p)) not in (None, digest_of_file(p))]
         for path in changed:
             del memory[str(path)]
     return changed
@@ -198,9 +198,9 @@ def _memory_of(paths: Sequence[Path], cache: Path) -> Iterator[dict[str, Any]]:
             write_json(place, memory)
 
 
-def _known(memory: Mapping[str, Any], path: Path, stamp: tuple[int, ...]) -> str | None:
+def _known(memory: Mapping[str, Any], path: Path, now: tuple[int, ...]) -> str | None:
     known = memory.get(str(path))
-    return known[-1] if isinstance(known, list) and known[:-1] == [*stamp] else None
+    return known[-1] if isinstance(known, list) and known[:-1] == [*now] else None
 
 
 def remembered(path: Path) -> dict[str, Any]:

@@ -10,7 +10,6 @@ import contextlib
 import hashlib
 from collections.abc import Iterator
 from datetime import UTC, datetime
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -41,10 +40,10 @@ def read(path: Path) -> dict[str, Any]:
 
 def write(path: Path, *, url: str, method: str, tensors: str) -> None:
     """Record a file that was just accepted: where it came from, the method that it fits, the digest of its tensors."""
-    status, record = path.stat(), {"file": path.name, "method": method, "url": url, "tensors": tensors}
-    record |= {"sha256": sha256(path), "date": f"{datetime.now(UTC):%Y-%m-%d}"}
+    now, record = store.stamp(path), {"file": path.name, "method": method, "url": url, "tensors": tensors}
+    record |= {"sha256": sha256(path), "date": f"{datetime.now(UTC):%Y-%m-%d}", "size": now[0], "stamp": now}
     with writing(path):
-        store.write_json(path_of(path), record | {"size": status.st_size, "mtime_ns": status.st_mtime_ns})
+        store.write_json(path_of(path), record)
 
 
 @contextlib.contextmanager
@@ -64,16 +63,16 @@ def compare(file: WeightsFile, path: Path) -> str:
 
     Raises :class:`WeightsError` with both digests if the content differs from the record, or that from the manifest.
     """
-    record, status = read(path), path.stat()
+    record, now = read(path), [*store.stamp(path)]
     if file.sha256 not in (None, record["sha256"]):
         raise WeightsError(
             f"{path}: the manifest says SHA-256 {file.sha256}, its lock file of {record['date']} says "
             f"{record['sha256']}; if the manifest is right, delete {path.name} and {path_of(path).name} and get it anew"
         )
-    if (record["size"], record.get("mtime_ns")) != (status.st_size, status.st_mtime_ns):
+    if record.get("stamp") != now:
         refuse_change(path, sha256(path))
         with contextlib.suppress(OSError):  # a folder that others own is read as it is
-            store.write_json(path_of(path), {**record, "mtime_ns": status.st_mtime_ns})
+            store.write_json(path_of(path), {**record, "stamp": now})
     return str(record["sha256"])
 
 
@@ -119,15 +118,9 @@ def check_against_manifest(file: WeightsFile, found: Path) -> str:
 def sha256(path: Path) -> str:
     """Return the SHA-256 of a file; a file that was not written in between is read once per process."""
     try:
-        status = path.stat()
-        return _sha256(path, status.st_size, status.st_mtime_ns)
+        return store.digest_of_file(path)
     except OSError as error:
         raise WeightsError(f"{path}: cannot be read ({error.strerror}); a file that you may read is needed") from None
-
-
-@lru_cache(maxsize=64)
-def _sha256(path: Path, size: int, mtime_ns: int) -> str:
-    return store.digest_of_file(path)
 
 
 def _git_blob(path: Path) -> str:
