@@ -52,10 +52,10 @@ def test_what_pages_import_is_there_when_a_kernel_starts(manager, tmp_path):
     assert plotted == "27000000.0"
 
 
-@pytest.mark.parametrize("end", ["os._exit(3)", "os.kill(os.getpid(), 9)"])
-def test_a_kernel_that_dies_is_noticed(manager, tmp_path, end):
-    with pytest.raises(DeadKernelError):
-        answers(manager, tmp_path, f"import os; {end}")
+@pytest.mark.parametrize("end", ["os._exit(3)", "os.kill(os.getpid(), 9)", "os.kill(os.getppid(), 9); time.sleep(60)"])
+def test_a_kernel_that_dies_is_noticed_also_with_its_parent(tmp_path, end):
+    with kernels.forked() as manager, pytest.raises(DeadKernelError):
+        answers(manager, tmp_path, f"import os, time; {end}")
 
 
 def test_nothing_is_left_and_a_server_that_died_is_told(tmp_path):

@@ -66,13 +66,15 @@ class _Server:
                 answer = ""
         if not answer:
             raise RuntimeError("the process that starts the notebooks has ended by itself; run again")
-        return _Fork(int(answer))
+        return _Fork(int(answer), self._process)
 
     def _start(self) -> None:
         ours, theirs = socket.socketpair()
         with ours, theirs:
             command = [sys.executable, "-P", "-m", "artifact.book.fork_server", str(theirs.fileno())]
-            self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], start_new_session=True)
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()], start_new_session=True
+            )
             self._connection = ours.makefile("rw")
 
     def close(self) -> None:
@@ -88,14 +90,16 @@ class _Fork:
 
     stdin = stdout = stderr = None
 
-    def __init__(self, pid: int) -> None:
-        self.pid, self.returncode = pid, None
+    def __init__(self, pid: int, parent: subprocess.Popen[bytes]) -> None:
+        self.pid, self.returncode, self._parent = pid, None, parent
 
     def poll(self) -> int | None:
-        """Return 1 once the process has ended: how is not known here."""
+        """Return 1 once the process or its parent, without which it ends too, has ended: how is not known here."""
         try:
             os.kill(self.pid, 0)
         except ProcessLookupError:
+            self.returncode = 1
+        if self._parent.poll() is not None:
             self.returncode = 1
         return self.returncode
 
