@@ -29,7 +29,7 @@ AREAS = {
     "suppression": ("suppression/*.py", ["splits", "suppressed", "suppression"]),
     "metrics": ("metrics/*.py", ["statistics", "keys", "ranking", "suppression", "rerank"]),
     "extraction": ("extraction/*.py", ["crashes", "keys", "parts", "extract", "given", "planning", "rerank"]),
-    "ranking": ("ranking/*.py", ["ranking", "suppression", "rerank"]),
+    "ranking": ("ranking/*.py", ["ranking", "suppression", "rerank", "exactness"]),
 }
 BINARY = [
     "Add_Sub",

@@ -107,7 +107,7 @@ def test_result_pages_hold_their_tables_and_figures(browser, pages, name, tables
 def test_formulas_are_typeset_without_the_network(browser, pages):
     html, _ = pages
     page, _, outside = visit(browser, html / "executed" / "fig04.html")
-    page.wait_for_selector("mjx-container svg", timeout=20000)
+    page.wait_for_selector("mjx-container svg", timeout=60000)
     assert page.locator("mjx-container svg").count() >= 5
     assert outside == []
     page.context.close()

@@ -480,7 +480,7 @@ def test_the_commands_of_the_readme_take_a_person_with_the_archives_there(tmp_pa
     typed = block[: block.index("make data PROFILE=paper")].replace("/disk/vpr", str(disk)).replace("~", str(home))
     environment = {n: v for n, v in os.environ.items() if not n.startswith(("ARTIFACT_", "MAKE"))}
     done = subprocess.run(
-        ["sh", "-e", "-c", typed], cwd=clone, env=environment, capture_output=True, text=True, check=False, timeout=300
+        ["sh", "-e", "-c", typed], cwd=clone, env=environment, capture_output=True, text=True, check=False, timeout=900
     )
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [cells(done.stdout.splitlines(), f"{name} ") for name in files.ALL]

@@ -84,7 +84,7 @@ NOT_TYPED |= dict.fromkeys(printed("README.md", "\n## Many machines\n"), "needs 
 def typed(clone, command):
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("ARTIFACT_", "MAKE"))}
     done = subprocess.run(
-        command, shell=True, cwd=clone, env=environment, capture_output=True, text=True, check=False, timeout=600
+        command, shell=True, cwd=clone, env=environment, capture_output=True, text=True, check=False, timeout=1200
     )
     assert "Traceback" not in done.stderr
     assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
@@ -132,7 +132,7 @@ def made(folder, *arguments, **environment):
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=240,
     )
 
 

@@ -256,7 +256,7 @@ def test_whoever_waits_for_a_lock_says_so(tmp_path, capsys):
         assert capsys.readouterr().err == ""
         waiting = threading.Thread(target=lambda: store.lock(tmp_path / "pages", "waiting for another").__enter__())
         waiting.start()
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + 120
         told = ""
         while not told and time.monotonic() < deadline:
             told = capsys.readouterr().err

@@ -73,7 +73,7 @@ def killed(tmp_path_factory):
     environment = {**os.environ, "PYTHONHASHSEED": "1"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
         digest = process.stdout.readline().strip()
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 240
         while len(list(folder.parent.glob(".*/*.jpg"))) < 3 and time.monotonic() < deadline:
             time.sleep(0.01)
         process.send_signal(signal.SIGKILL)
