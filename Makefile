@@ -128,5 +128,6 @@ $(VENV)/.ready: environment.txt pyproject.toml
 	else $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r environment.txt; fi
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@$(VENV)/bin/python -m compileall -q src
-	@$(VENV)/bin/python -m artifact_city || echo "the renderer could not be compiled now: it is compiled at first use"
+	@$(VENV)/bin/python -m artifact.ranking & ranking=$$!; $(VENV)/bin/python -m artifact_city && wait $$ranking || \
+		echo "not all could be compiled now: it is compiled at first use"
 	@pwd > $@

@@ -1,5 +1,8 @@
 """The streaming pass against the paper's definition, sorted literally."""
 
+import os
+import subprocess
+import sys
 from math import comb
 
 import numpy as np
@@ -391,3 +394,23 @@ def test_bad_questions_are_named():
     with pytest.raises(KeyError, match="no distractor pool 'rain'; the pools are queries"):
         result.pool("rain")
     assert QUERY_POOL in result.pools
+
+
+def test_compiling_at_set_up_compiles_all_that_a_ranking_calls(tmp_path):
+    code = """if True:
+        import numpy as np
+        from artifact import LEACE, evaluate
+        rng = np.random.default_rng(0)
+        places = np.column_stack([np.arange(50.0), np.zeros(50)])
+        for dtype in (np.float32, np.float16):
+            X, Y, Z = (rng.standard_normal((50, 24)).astype(dtype) for _ in range(3))
+            views = {"view": LEACE().fit(np.concatenate([X, Y]), np.repeat([0, 1], 50))}
+            evaluate(X, Y, places, places, 2.0, views=views, retrieve=5, device="cpu")
+            evaluate(X, Y, places, places, 2.0, Z, places, device="cpu")
+    """
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    compiled = []
+    for command in (["-m", "artifact.ranking"], ["-c", code]):
+        subprocess.run([sys.executable, *command], env=environment, check=True, stdout=subprocess.DEVNULL)
+        compiled.append({path.name for path in tmp_path.rglob("*.nbc")})
+    assert compiled[0] == compiled[1] != set()

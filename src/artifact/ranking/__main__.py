@@ -1,0 +1,25 @@
+"""Compile the counting of ranking, so that notebooks that run side by side need not each: ``python -m artifact.ranking``."""
+
+import time
+
+import numpy as np
+
+from artifact.ranking.one_pass import ImageSet, Options, rank
+from artifact.suppression.lowrank import LowRankMap
+
+
+def main() -> None:
+    """Rank a few made descriptors in all the ways that a ranking can take."""
+    rng, places = np.random.default_rng(0), np.column_stack([np.arange(40.0), np.zeros(40)])
+    directions = np.linalg.qr(rng.standard_normal((16, 3)))[0]
+    views = {"view": LowRankMap(directions, directions, np.zeros(3))}
+    for dtype in (np.float32, np.float16):
+        sets = [ImageSet(rng.standard_normal((40, 16)).astype(dtype), places) for _ in range(3)]
+        options = Options(retrieve=3, view_sweeps=True, device="cpu")
+        rank(sets[0], sets[1], 2.0, {"queries": None, "others": sets[2]}, views, options)
+
+
+if __name__ == "__main__":
+    began = time.monotonic()
+    main()
+    print(f"compiled the counting of ranking in {time.monotonic() - began:.0f} s")  # noqa: T201
