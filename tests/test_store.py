@@ -270,10 +270,21 @@ def test_what_killed_runs_left_is_swept_up_after_a_day(tmp_path):
     old, young = tmp_path / ".a.npz.abc.tmp.npz", tmp_path / ".b.npz.abc.tmp.npz"
     for file in (old, young, tmp_path / "a.npz", folder / "0.jpg"):
         file.write_bytes(b"")
-    for file in (old, tmp_path / "a.npz", folder):
-        os.utime(file, (time.time() - 90_000,) * 2)
+    for file, hours in ((old, 25), (tmp_path / "a.npz", 25), (folder, 25), (young, 23)):
+        os.utime(file, (time.time() - 3600 * hours,) * 2)
     store.sweep(tmp_path)
     assert sorted(p.name for p in tmp_path.rglob("*")) == [young.name, "a.npz", "city"]
+
+
+def test_what_is_removed_leaves_nothing_of_its_own_and_all_of_others(tmp_path):
+    for name in ("ranks.npz", "ranks.json", "ranks.npz.damaged", "other.npz", "other.json"):
+        (tmp_path / name).write_bytes(b"{}")
+    for name in ("images", "images.damaged", "others"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "0.jpg").write_bytes(b"")
+    for name in ("ranks.npz", "images", "images"):  # what is not there any more needs no removal
+        store.remove(tmp_path / name)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["other.json", "other.npz", "others"]
 
 
 def test_the_time_of_a_stage_is_reported_where_it_can_be(tmp_path, monkeypatch):
