@@ -164,11 +164,21 @@ def artifact(project, *arguments, **variables):
     return done.returncode, done.stdout + done.stderr
 
 
-def copy_book(project):
-    """Copy the notebooks and the book's own files, without what was built from them."""
+def copy_book(project, pages=None):
+    """Copy the notebooks, all or those named, and the book's own files, without what was built from them."""
     for part in ("notebooks", "book"):
         built = shutil.ignore_patterns("_build", "executed", "__pycache__")
         shutil.copytree(REPOSITORY / part, project / part, ignore=built)
+    for path in (project / "notebooks").glob("*.py"):
+        if pages is not None and path.stem not in pages:
+            path.unlink()
+
+
+def flip(path):
+    """Change one bit in the middle of a file."""
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 4
+    path.write_bytes(content)
 
 
 def write_drive(project, n):

@@ -36,10 +36,7 @@ PAGES = {"tab03", "fig06", "fig08", "tab04", "fig07"}
 def laid_out(tmp_path_factory):
     """A project with one small dataset, two methods and some pages."""
     project = tmp_path_factory.mktemp("cluster")
-    copy_book(project)
-    for path in (project / "notebooks").glob("*.py"):
-        if path.stem not in PAGES:
-            path.unlink()
+    copy_book(project, PAGES)
     write_drive(project, 24)
     content = tiny_manifest(drive=DRIVE)
     content["profiles"]["demo"] |= {

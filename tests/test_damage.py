@@ -5,19 +5,13 @@ import threading
 import time
 
 import pytest
-from conftest import STREET, artifact, tiny_manifest, write_images, write_manifest
+from conftest import STREET, artifact, flip, tiny_manifest, write_images, write_manifest
 
 from artifact import datasets, manifest, store
 from artifact.book import build
 from artifact.commands import verify
 from artifact.datasets.appearance import appearance
 from artifact.studies import evaluated
-
-
-def flip(path):
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 4
-    path.write_bytes(content)
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from html import unescape
 import nbformat
 import pytest
 import yaml
-from conftest import DRIVE, artifact, copy_book, tiny_manifest, write_images, write_manifest
+from conftest import DRIVE, artifact, copy_book, flip, tiny_manifest, write_images, write_manifest
 
 from artifact import manifest
 from artifact.book import build, parameters
@@ -323,12 +323,6 @@ def test_commands_for_the_shell(tiny):
     assert status == 0
     assert ", 0 damaged" in output
     assert "nothing to compare with its numbers" in output
-
-
-def flip(path):
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 4
-    path.write_bytes(content)
 
 
 def test_verify_finds_a_damaged_result(tiny):

@@ -37,10 +37,7 @@ def printed(path, section=""):
 def clone(tmp_path_factory):
     """A clone with a space in its path, whose profile is small, with images and descriptors as the texts name them."""
     folder = tmp_path_factory.mktemp("a clone")
-    copy_book(folder)
-    for path in (folder / "notebooks").glob("*.py"):
-        if path.stem not in NOTEBOOKS:
-            path.unlink()
+    copy_book(folder, NOTEBOOKS)
     toc = yaml.safe_load((folder / "book" / "_toc.yml").read_text())
     chapters = [{"file": f"executed/{name}"} for name in (*NOTEBOOKS[1:], "status")]
     toc = {

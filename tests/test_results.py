@@ -26,10 +26,7 @@ NEED_MORE = {"in_one_screen": "the values of its descriptors at hand", "fig01": 
 
 
 def lay_out(project):
-    copy_book(project)
-    for path in (project / "notebooks").glob("*.py"):
-        if path.stem not in PAGES:
-            path.unlink()
+    copy_book(project, PAGES)
     content = tiny_manifest(drive=DRIVE)
     content["profiles"]["demo"]["parameters"] = {"within_session": {"statistics": ["brightness"], "iterations": 3}}
     write_manifest(project, content)

@@ -82,8 +82,7 @@ class CpuEngine:
         for start in range(0, len(others), _COLUMNS):
             part = np.ascontiguousarray(others[start : start + _COLUMNS], np.float32)
             found = out[:, start : start + _COLUMNS]
-            by_numpy = isinstance(self.product_kind, NumpyProduct)
-            self.product_kind.multiply(*(block, part, found) if by_numpy else products.tensors(block, part, found))
+            products.multiply(self.product_kind, block, part, found)
         return out
 
     def gather(self, tile: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -139,11 +139,14 @@ def _steps(d: int, step: int) -> Iterator[slice]:
         yield slice(start, min(start + step, d))
 
 
-def tensors(*arrays: np.ndarray) -> tuple[Any, ...]:
-    """Return arrays as tensors that share their memory."""
+def multiply(product: Product, left: np.ndarray, right: np.ndarray, out: np.ndarray) -> None:
+    """Write a product of arrays into an array, also by a product that takes tensors."""
+    if isinstance(product, NumpyProduct):
+        product.multiply(left, right, out)
+        return
     import torch
 
-    return tuple(map(torch.from_numpy, arrays))
+    product.multiply(*map(torch.from_numpy, (left, right, out)))
 
 
 def _in_steps(left: Any, right: Any, step: int, out: Any) -> Any:
@@ -181,16 +184,18 @@ def precision(name: str) -> Iterator[None]:
 @cache
 def seconds() -> dict[Product, float]:
     """Return the products that this processor has, with the seconds of a multiplication, measured once in a process."""
+    import torch  # noqa: F401  # what loads now is not timed
+
     block = np.random.default_rng(0).standard_normal((1024, 1024), dtype=np.float32)
     out = np.empty_like(block)
     best: dict[Product, float] = dict.fromkeys([NumpyProduct(), TorchProduct(), HalfProduct(1), HalfProduct(2)], np.inf)
-    # In turns and several times, so that other work on the machine slows none alone; what is far behind has one turn.
-    for _ in range(4):
+    # In turns and several times, so that other work on the machine slows none alone. The first turn of a library also
+    # starts its threads: only after a second one is what is far behind left out.
+    for turn in range(5):
         for product, least in best.items():
-            if least > 3 * min(best.values()) and np.isfinite(least):
+            if turn > 1 and least > 3 * min(best.values()):
                 continue
-            operands = (block, block, out) if isinstance(product, NumpyProduct) else tensors(block, block, out)
             start = time.perf_counter()
-            product.multiply(*operands)
+            multiply(product, block, block, out)
             best[product] = min(least, (time.perf_counter() - start) / block.size / len(block))
     return best
