@@ -189,13 +189,14 @@ def seconds() -> dict[Product, float]:
     block = np.random.default_rng(0).standard_normal((1024, 1024), dtype=np.float32)
     out = np.empty_like(block)
     best: dict[Product, float] = dict.fromkeys([NumpyProduct(), TorchProduct(), HalfProduct(1), HalfProduct(2)], np.inf)
-    # In turns and several times, so that other work on the machine slows none alone. The first turn of a library also
-    # starts its threads: only after a second one is what is far behind left out.
-    for turn in range(5):
-        for product, least in best.items():
-            if turn > 1 and least > 3 * min(best.values()):
+    # Several times in a row, for the threads of the library before still turn for a while; and in two turns, so that other
+    # work on the machine slows none alone. What is far behind has one.
+    for turn in range(2):
+        for product in tuple(best):
+            if turn and best[product] > 3 * min(best.values()):
                 continue
-            start = time.perf_counter()
-            multiply(product, block, block, out)
-            best[product] = min(least, (time.perf_counter() - start) / block.size / len(block))
+            for _ in range(5):
+                start = time.perf_counter()
+                multiply(product, block, block, out)
+                best[product] = min(best[product], (time.perf_counter() - start) / block.size / len(block))
     return best
