@@ -57,6 +57,7 @@ OPERATORS = [
     *("ReplaceContinueWithBreak", "ReplaceFalseWithTrue", "ReplaceTrueWithFalse", "ReplaceUnaryOperator_Delete_Invert"),
     *("ReplaceUnaryOperator_Delete_Not", "ReplaceUnaryOperator_Delete_USub", "ZeroIterationForLoop", "RemoveDecorator"),
 ]
+_SLOW = "too slow"
 # Imported once and not in every process: torch with all that a model needs, and what the book is made with.
 HEAVY = [
     "torch.utils.data",
@@ -158,7 +159,7 @@ def passes(path, text, tests, limit):
             time.sleep(0.05)
         os.killpg(child, signal.SIGKILL)
         os.waitpid(child, 0)
-        return False, "too slow"
+        return False, _SLOW
 
 
 def run_tests(tests):
@@ -185,17 +186,19 @@ def run_area(area, sample, chance):
     passed, output = passes(unchanged, unchanged.read_text(encoding="utf-8"), tests, 3600)
     if not passed:
         sys.exit(f"{area}: the tests fail without any change:\n{output[-3000:]}")
-    limit, survived, unknown, reasons = 3 * (time.monotonic() - begun) + 30, 0, 0, known()
+    limit, survived, unknown, slow, reasons = 3 * (time.monotonic() - begun) + 30, 0, 0, 0, known()
     for number, (path, variants) in enumerate(chosen, start=1):
         before, after, text = chance.choice(variants)
-        if passes(path, text, tests, limit)[0]:
+        passed, output = passes(path, text, tests, limit)
+        slow += output == _SLOW
+        if passed:
             survived += 1
             module = str(path.relative_to(SOURCE))
             reason = reasons.get((module, before, after)) or reasons.get((module, before, ""))
             unknown += reason is None
             say(f"{module}: {before}  ->  {after}  ({reason or 'NOT LISTED'})")
         say(f"{area} {number}/{len(chosen)}: {survived} survive", sys.stderr, "\r")
-    say(f"{area}: {survived} of {len(chosen)} changes survive, sampled from {len(places)} places")
+    say(f"{area}: {survived} of {len(chosen)} changes survive, sampled from {len(places)} places; {slow} took too long")
     return len(chosen), survived, unknown
 
 

@@ -296,6 +296,16 @@ def test_coordinates_keep_every_inner_product():
     np.testing.assert_allclose(X @ lift(basis), coordinates @ basis, atol=1e-9)
 
 
+def test_rows_that_repeat_add_no_coordinates():
+    X, condition = labelled(20, 50, 2)
+    twice = np.concatenate([X, X])
+    coordinates, lift = _coordinates(twice, None)
+    assert coordinates.shape == (40, 20)
+    np.testing.assert_allclose(lift(np.eye(20)).T @ lift(np.eye(20)), np.eye(20), atol=1e-6)
+    directions = INLP(3).fit(twice, np.tile(condition, 2)).directions_
+    assert np.isfinite(directions).all()
+
+
 def test_inlp_can_be_read_at_every_iteration():
     X, condition = labelled(200, 30, 2)
     fitted = INLP(n_iterations=5).fit(X, condition)

@@ -18,7 +18,7 @@ import numpy as np
 from artifact.ranking import counting, products
 from artifact.ranking.compiled import threads
 from artifact.ranking.counting import Counts, Groups, Lens, Places, Target, Tile
-from artifact.ranking.products import NumpyProduct, Product, TorchProduct
+from artifact.ranking.products import NumpyProduct, Product
 
 _COLUMNS = 2048  # columns of a product at a time: as much is copied or widened
 _DRIVERS = ("libcuda.so.1", "libamdhip64.so", "nvcuda.dll")  # CUDA's, or ROCm's, which PyTorch also calls CUDA
@@ -63,14 +63,8 @@ class CpuEngine:
         """Take the product that is fastest, second looks included, where there is much to multiply."""
         if multiplications < _WORTH or self._fixed:
             return
-        rates = products.seconds()
-        # Of float32 products that are about as fast, the one with the closest bound.
-        ranked = sorted(rates, key=lambda product: rates[product] * (0.8 if isinstance(product, TorchProduct) else 1))
-        if isinstance(ranked[0], TorchProduct):
-            self.product_kind = ranked[0]
-            return
-        least = np.inf
-        for product in ranked:
+        rates, least = products.seconds(), np.inf
+        for product in sorted(rates, key=rates.__getitem__):
             alone = rates[product] * multiplications
             if alone < least and alone + (looks := look_seconds(product)) < least:
                 self.product_kind, least = product, alone + looks

@@ -84,6 +84,33 @@ class TorchProduct:
 
 
 @dataclass(frozen=True)
+class OneDnnProduct:
+    """oneDNN's float32 product, compiled for this processor; PyTorch has it and takes it only in compiled models."""
+
+    name: str = "oneDNN float32"
+
+    @staticmethod
+    def available() -> bool:
+        """Whether this build of PyTorch has it."""
+        import torch
+
+        has_it = torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]
+        return has_it and hasattr(torch.ops.mkldnn, "_linear_pointwise")
+
+    def multiply(self, left: Any, right: Any, out: Any = None) -> Any:
+        """See :class:`Product`."""
+        import torch
+
+        with precision("highest"):  # of rows that lie side by side: others would go through a slow kernel
+            found = torch.ops.mkldnn._linear_pointwise(left.contiguous(), right.contiguous(), None, "none", [], "")
+        return found if out is None else out.copy_(found)
+
+    def terms(self, rows: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See :class:`Product`."""
+        return _sums(rows.shape[1], rows.shape[1], _UNIT, length)
+
+
+@dataclass(frozen=True)
 class HalfProduct:
     """Products of one or two bfloat16 parts on a matrix engine."""
 
@@ -188,7 +215,9 @@ def seconds() -> dict[Product, float]:
 
     block = np.random.default_rng(0).standard_normal((1024, 1024), dtype=np.float32)
     out = np.empty_like(block)
-    best: dict[Product, float] = dict.fromkeys([NumpyProduct(), TorchProduct(), HalfProduct(1), HalfProduct(2)], np.inf)
+    products: list[Product] = [NumpyProduct(), TorchProduct(), HalfProduct(1), HalfProduct(2)]
+    products += [OneDnnProduct()] if OneDnnProduct.available() else []
+    best = dict.fromkeys(products, np.inf)
     # Several times in a row, for the threads of the library before still turn for a while; and in two turns, so that other
     # work on the machine slows none alone. What is far behind has one.
     for turn in range(2):
