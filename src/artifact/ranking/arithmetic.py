@@ -61,13 +61,26 @@ def dots(X: np.ndarray, i: np.ndarray, Y: np.ndarray, j: np.ndarray, executor: E
 @compiled(fastmath=ANY_ORDER)
 def _dots(X: np.ndarray, i: np.ndarray, Y: np.ndarray, j: np.ndarray, out: np.ndarray) -> None:
     for pair in range(i.size):
-        left, right, total = X[i[pair]], Y[j[pair]], 0.0
-        for begin in range(0, left.size, STEP):
-            part = 0.0
-            for column in range(begin, min(begin + STEP, left.size)):
-                part += np.float64(left[column]) * np.float64(right[column])
-            total += part
-        out[pair] = total
+        out[pair] = _inner(X[i[pair]], Y[j[pair]])
+
+
+@compiled(fastmath=ANY_ORDER)
+def _inner(left: np.ndarray, right: np.ndarray) -> float:
+    total = 0.0
+    for begin in range(0, left.size, STEP):
+        # Slices: only so does the compiler use vectors.
+        some, others, part = left[begin : begin + STEP], right[begin : begin + STEP], 0.0
+        for column in range(some.size):
+            part += np.float64(some[column]) * np.float64(others[column])
+        total += part
+    return total
+
+
+@compiled(fastmath=ANY_ORDER)
+def squares(block: np.ndarray, out: np.ndarray) -> None:
+    """Write the inner products of rows with themselves."""
+    for row in range(block.shape[0]):
+        out[row] = _inner(block[row], block[row])
 
 
 def exact_products(X: np.ndarray, Y: np.ndarray) -> np.ndarray:

@@ -5,7 +5,8 @@ as_query(q) · as_image(c)``.
 
 - **float32.** A sum of ``n`` products in any order is off by at most ``γ_n |q| |c|`` with ``u = 2⁻²⁴`` (Higham 2002,
   eq. 3.5). Columns are multiplied 128 at a time where the library can add a product to another, which rounds no term
-  more than ``128 + d / 128`` times: of d = 8,448 that is 43 times less, and as many fewer pairs to look at again.
+  more than ``128 + d / 128`` times: of d = 8,448 that is 43 times less, and as many fewer pairs to look at again. oneDNN
+  compiles its product for the processor at hand and is the fastest on many.
 - **bfloat16.** Rows are cut into parts that bfloat16 holds exactly, ``q = q₁ + δ`` or ``q = q₁ + q₂ + δ``, with the
   lengths of the remainders measured; the products of parts are exact in float32. What is left out is at most
   ``|δ_q| |c| + |q| |δ_c|`` (and ``|q₂| |c₂|``), by Cauchy and Schwarz. The processor is only told that it *may* use its

@@ -41,7 +41,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from artifact.ranking.arithmetic import ANY_ORDER, STEP, WIDENED, Dots, exact_products, nearest_float32, root
+from artifact.ranking.arithmetic import STEP, WIDENED, Dots, exact_products, nearest_float32, root, squares
 from artifact.ranking.compiled import compiled
 
 Similarity = Literal["cosine", "dot", "l2"]
@@ -96,7 +96,7 @@ def squared_norms(descriptors: np.ndarray) -> np.ndarray:
     step = max(1, WIDENED // descriptors.shape[1])
     for start in range(0, len(descriptors), step):
         rows = slice(start, start + step)
-        _squares(np.ascontiguousarray(descriptors[rows], np.float32), squared[rows])
+        squares(np.ascontiguousarray(descriptors[rows], np.float32), squared[rows])
     return squared
 
 
@@ -108,24 +108,12 @@ def _facts(descriptors: np.ndarray, executor: Executor) -> tuple[np.ndarray, np.
     def look(start: int) -> None:
         rows = slice(start, start + step)
         block = np.ascontiguousarray(descriptors[rows], np.float32)
-        _squares(block, squared[rows])
+        squares(block, squared[rows])
         _digests(block, block.view(np.uint32), digests[rows], coarse[rows])
 
     step = max(1, WIDENED // d)
     list(executor.map(look, range(0, n, step)))
     return squared, digests, coarse
-
-
-@compiled(fastmath=ANY_ORDER)
-def _squares(block: np.ndarray, out: np.ndarray) -> None:
-    for row in range(block.shape[0]):
-        total = 0.0
-        for begin in range(0, block.shape[1], STEP):
-            part = 0.0
-            for column in range(begin, min(begin + STEP, block.shape[1])):
-                part += np.float64(block[row, column]) * np.float64(block[row, column])
-            total += part
-        out[row] = total
 
 
 @compiled()
