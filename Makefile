@@ -112,10 +112,26 @@ lock: ## resolve environment.txt anew from pyproject.toml (needs uv)
 clean: ## delete stored results and the built book, not the environment
 	rm -rf .cache book/_build book/executed
 
+# Of two commands that set up at once, the second waits; the file that is locked is one that is always there.
+define ONE_AT_A_TIME
+import fcntl, os, sys
+lock = os.open("Makefile", os.O_RDONLY)
+os.set_inheritable(lock, True)
+try:
+    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+except BlockingIOError:
+    print("another command sets up this folder: waiting for it", flush=True)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+os.execvp(sys.argv[1], sys.argv[1:])
+endef
+export ONE_AT_A_TIME
 $(VENV)/.ready: environment.txt pyproject.toml
 	@test -n "$(PYTHON)" || { echo "error: Python 3.11, 3.12 or 3.13 is needed and not found; name it with PYTHON=/path/to/python" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(None if (3, 11) <= v <= (3, 13) else "error: Python 3.11, 3.12 or 3.13 is needed, $(PYTHON) is %d.%d" % v)'
 	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { echo "error: $(PYTHON) has no venv module; on Debian and Ubuntu: apt install python3-venv" >&2; exit 1; }
+ifndef LOCKED
+	@$(PYTHON) -c "$$ONE_AT_A_TIME" $(MAKE) --no-print-directory LOCKED=1 $@
+else
 	@echo "creating $(VENV) (a few minutes the first time)"
 	@test -n "$(TORCH_INDEX)" || test "$$(uname)" != Linux || command -v nvidia-smi >/dev/null 2>&1 || \
 		echo "no NVIDIA driver here: if PyTorch comes as its CUDA build (3 GB), TORCH_INDEX=URL takes the CPU build of another index (0.2 GB)"
@@ -131,3 +147,4 @@ $(VENV)/.ready: environment.txt pyproject.toml
 	@$(VENV)/bin/python -m artifact.ranking & ranking=$$!; $(VENV)/bin/python -m artifact_city && wait $$ranking || \
 		echo "not all could be compiled now: it is compiled at first use"
 	@pwd > $@
+endif

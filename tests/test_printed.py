@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -169,6 +170,32 @@ def test_a_machine_without_a_driver_is_told_of_the_small_build(tmp_path):
 
 def test_set_up_compiles_what_kernels_import(tmp_path):
     assert "-m compileall -q src" in made(tmp_path, "-n", "setup").stdout
+
+
+# Does what set-up asks of a Python, without a network: what it is asked is written to a file, and an environment takes a while.
+STUB = """#!/bin/sh
+echo "$*" >> "{log}"
+case "$*" in
+*ensurepip*|*fcntl*|*sys*) exec "{python}" "$@" ;;
+*venv*) mkdir -p .venv/bin; cp "$0" .venv/bin/python; sleep 2 ;;
+esac
+"""
+
+
+def test_of_two_set_ups_at_once_the_second_waits_and_finds_all_done(tmp_path):
+    stub, log = tmp_path / "python", tmp_path / "asked"
+    stub.write_text(STUB.format(log=log, python=sys.executable))
+    stub.chmod(0o755)
+    arguments = "setup", f"PYTHON={stub}"
+    with ThreadPoolExecutor(2) as executor:
+        done = list(executor.map(lambda _: made(tmp_path, *arguments, PATH="/usr/bin:/bin"), range(2)))
+    assert [one.returncode for one in done] == [0, 0], [one.stderr for one in done]
+    asked = log.read_text()
+    assert asked.count("-m venv --clear .venv") == 1
+    assert asked.count("install --quiet --disable-pip-version-check torch==") == 1
+    said = sorted("waiting for it" in one.stdout for one in done)
+    assert said == [False, True]
+    assert "creating" not in made(tmp_path, *arguments).stdout  # an environment that is there is left alone
 
 
 def test_the_makefile_is_read_by_the_make_of_macos():
