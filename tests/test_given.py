@@ -1,8 +1,10 @@
 """Datasets that come as descriptors, without images; and the rehearsal, which is made of them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from conftest import STREET, tiny_manifest, write_manifest
+from conftest import STREET, flip, tiny_manifest, write_manifest
 
 from artifact import datasets, evaluate, manifest
 from artifact.datasets import DatasetError
@@ -105,6 +107,22 @@ def test_made_values_are_never_called_real(rehearsal):
     assert not loaded.real
     assert datasets.load(rehearsal, "robotcar").query.image_names[0] == "00000"
     assert all(not t.has_images for t in loaded.traversals.values())
+
+
+def test_made_files_that_are_damaged_are_made_again(rehearsal, capsys):
+    folder = Path(str(rehearsal.dataset("svox").root))
+    described = rehearsal.dataset("svox").traversals[rehearsal.dataset("svox").query]
+    paths = [folder / str(described.positions_file)]
+    paths += [folder / next(iter(files.values())) for files in (described.descriptors, described.second_stage)]
+    before = [path.read_bytes() for path in paths]
+    for path in paths:
+        flip(path)
+    made.make(rehearsal, "rehearsal")
+    assert [path.read_bytes() for path in paths] == before
+    told = capsys.readouterr().err.splitlines()
+    assert [line.partition(" is set aside as ")[2] for line in told] == [
+        f"{path.name}.damaged and made again" for path in paths
+    ]
 
 
 def test_kind_made_is_not_for_manifests(tmp_path):
