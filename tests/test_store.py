@@ -196,6 +196,15 @@ def test_every_flipped_bit_of_a_result_and_of_its_record_is_noticed(tmp_path):
         file.write_bytes(whole)
 
 
+@pytest.mark.parametrize("record", ["[1, 2]", '"sha256"', "7", "null", "{}", '{"key": "k"}'])
+def test_what_is_no_record_is_damage(tmp_path, record):
+    path = tmp_path / "ranks.npz"
+    path.write_bytes(b"numbers")
+    store.record_path(path).write_text(record)
+    with pytest.raises(store.DamagedError, match=r"ranks\.json: is no record of ranks\.npz"):
+        store.check(path)
+
+
 @pytest.mark.parametrize("damage", [b"", b"half a res", None])
 def test_a_damaged_file_in_a_folder_is_noticed_and_the_folder_set_aside(tmp_path, damage, capsys):
     folder = tmp_path / "images"
