@@ -10,22 +10,18 @@ from pathlib import Path
 
 from artifact.datasets import lookalikes
 from artifact.datasets.published import archives, preparation
-from artifact.datasets.published.preparation import Kept, Plan, Sources
+from artifact.datasets.published.preparation import Plan, Sources
 from artifact.datasets.traversal import DatasetError
 
 _IMAGE = re.compile(r"(?:^|/)(new|old)/((\d{4})\.(?:png|jpe?g))$", re.IGNORECASE)
 
 
-class Parameters(preparation.Parameters):
-    """None."""
-
-
 def plan(sources: Sources) -> Plan:
     """Keep all images of one side, as they are."""
     path = _innermost(sources)
-    members = {member.name: member.size for member in archives.members(path)}
-    lookalikes.refuse("amstertime", path, members)
-    images = {name: match for name in members if (match := _IMAGE.search(name))}
+    sizes = {member.name: member.size for member in archives.members(path)}
+    lookalikes.refuse("amstertime", path, sizes)
+    images = {name: match for name in sizes if (match := _IMAGE.search(name))}
     sides = {side: sorted(m[3] for m in images.values() if m[1].lower() == side) for side in ("new", "old")}
     if sides["new"] != sides["old"] or not sides["new"]:
         odd = sorted(set(sides["new"]) ^ set(sides["old"]))
@@ -35,14 +31,9 @@ def plan(sources: Sources) -> Plan:
             f"images); get the archive again"
         )
     index = {number: place for place, number in enumerate(sides["new"])}
-    wanted = {name: match for name, match in images.items() if match[1].lower() == sources.traversal}
-    kept = (
-        Kept(match[2], member.name, (index[match[3]],), member.read)
-        for member in archives.members(path)
-        if (match := wanted.get(member.name))
-    )
+    kept = {name: (m[2], (index[m[3]],)) for name, m in images.items() if m[1].lower() == sources.traversal}
     gaps = int(sides["new"][-1]) + 1 - len(index)
-    return Plan(kept, len(wanted), sum(members[name] for name in wanted), {"numbers_not_used": gaps})
+    return preparation.as_published(path, sizes, kept, numbers_not_used=gaps)
 
 
 def _innermost(sources: Sources) -> Path:

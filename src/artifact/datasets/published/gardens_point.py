@@ -6,21 +6,17 @@ import re
 
 from artifact.datasets import lookalikes
 from artifact.datasets.published import archives, preparation
-from artifact.datasets.published.preparation import Kept, Plan, Sources
+from artifact.datasets.published.preparation import Plan, Sources
 from artifact.datasets.traversal import DatasetError
-
-
-class Parameters(preparation.Parameters):
-    """None."""
 
 
 def plan(sources: Sources) -> Plan:
     """Keep all images of a folder; the position is the number in the name."""
     (path,) = sources.paths.values()
     pattern = re.compile(rf"(?:^|/){sources.traversal}/(Image(\d{{3}})\.jpg)$")
-    names = {member.name: member.size for member in archives.members(path)}
-    lookalikes.refuse("gardens_point", path, names)
-    found = {name: match for name in names if (match := pattern.search(name))}
+    sizes = {member.name: member.size for member in archives.members(path)}
+    lookalikes.refuse("gardens_point", path, sizes)
+    found = {name: match for name in sizes if (match := pattern.search(name))}
     numbers = sorted(int(match[2]) for match in found.values())
     lookalikes.refuse("gardens_point", f"{path}, {sources.traversal}", [str(number) for number in numbers])
     if numbers != list(range(len(numbers))) or not numbers:
@@ -29,9 +25,4 @@ def plan(sources: Sources) -> Plan:
             f"{path}: {sources.traversal}/Image000.jpg and on should be numbered without gaps; {len(numbers)} are there, "
             f"missing: {missing[:5]}; get the archive again"
         )
-    kept = (
-        Kept(match[1], member.name, (int(match[2]),), member.read)
-        for member in archives.members(path)
-        if (match := found.get(member.name))
-    )
-    return Plan(kept, len(found), sum(names[name] for name in found), {})
+    return preparation.as_published(path, sizes, {name: (match[1], (int(match[2]),)) for name, match in found.items()})

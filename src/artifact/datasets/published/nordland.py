@@ -49,16 +49,13 @@ def plan(sources: Sources) -> Plan:
                 others.append(member.name)
         if missing := sorted(index.keys() - seen):
             lookalikes.refuse("nordland", path, others)
-            frames = [*seen, *(name for name in map(PurePosixPath, others) if name.suffix == ".png")]
-            lookalikes.refuse("nordland", path, list(map(str, frames)))
-            renumbered = len(frames) == len(index)
+            frames = [*seen, *(name for name in others if name.endswith(".png"))]
+            lookalikes.refuse("nordland", path, frames)
+            why = "it is another film or cut short"
+            if len(frames) == len(index):
+                why = "its frames were renumbered, so that places differ"
             raise DatasetError(
-                f"{path}: {len(missing):,} of the {len(index):,} frames of the list are not in it, first {missing[0]}; "
-                + (
-                    "its frames were renumbered, so that places differ"
-                    if renumbered
-                    else "it is another film or cut short"
-                )
+                f"{path}: {len(missing):,} of the {len(index):,} frames of the list are not in it, first {missing[0]}; {why}"
             )
         found["frames_not_in_the_list"] = sum(bool(_FRAME.search(name)) for name in others)
 

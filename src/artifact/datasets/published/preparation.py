@@ -29,12 +29,16 @@ from artifact.datasets.folder import natural_order
 from artifact.datasets.images import UnreadableImageError, modes_and_sizes, read_image
 from artifact.datasets.positions import names_in_csv
 from artifact.datasets.prepared import INDEX_FILE, SIDECAR_FILE, digests_of_images
-from artifact.datasets.published.archives import require_room
+from artifact.datasets.published.archives import members, require_room
 from artifact.datasets.traversal import DatasetError
 from artifact.manifest.entries import DatasetEntry
 
 _REVISION = 1  # of all recipes; raised when what they write changes
 _DECODED = 25  # images of a traversal that are decoded wholly to check them
+
+
+Position = tuple[float, ...]
+"""x and y in metres, or one index."""
 
 
 class Parameters(BaseModel):
@@ -47,12 +51,12 @@ class Parameters(BaseModel):
 class Kept:
     """An image of a prepared traversal: file name, what it is called in the published files, position, content.
 
-    ``position`` is x and y in metres, or one index. ``content`` is asked for at once, before the next image is made.
+    ``content`` is asked for at once, before the next image is made.
     """
 
     name: str
     original: str
-    position: tuple[float, ...]
+    position: Position
     content: Callable[[], bytes] = field(repr=False)
 
 
@@ -84,8 +88,19 @@ class Plan:
     found: dict[str, Any]
 
 
+def as_published(
+    path: Path, sizes: Mapping[str, int], wanted: Mapping[str, tuple[str, Position]], **found: Any
+) -> Plan:
+    """Plan to keep images of an archive as they are.
+
+    ``sizes`` has the bytes of its files by name, ``wanted`` the new name and the position of each image.
+    """
+    kept = (Kept(wanted[m.name][0], m.name, wanted[m.name][1], m.read) for m in members(path) if m.name in wanted)
+    return Plan(kept, len(wanted), sum(sizes[name] for name in wanted), found)
+
+
 def recipe_of(entry: DatasetEntry) -> ModuleType:
-    """Return the module of a dataset's recipe: it has ``Parameters`` and ``plan``."""
+    """Return the module of a dataset's recipe: it has ``plan``, and ``Parameters`` if there are any."""
     assert entry.preparation is not None
     return import_module(f"artifact.datasets.published.{entry.preparation.recipe}")
 
@@ -95,7 +110,7 @@ def parameters_of(dataset: str, entry: DatasetEntry, given: Mapping[str, Any]) -
 
     Raises ``DatasetError`` with the allowed ones if one is unknown or has a value that is not allowed.
     """
-    model = recipe_of(entry).Parameters
+    model = getattr(recipe_of(entry), "Parameters", Parameters)
     try:
         return model(**{**entry.preparation.parameters, **given})
     except ValidationError as error:
@@ -158,7 +173,7 @@ def prepare(
 def _write(work: Path, label: str, plan: Plan, sources: Sources, *, progress: bool) -> None:
     """Write the images that are not there yet, then the index."""
     require_room(work, plan.size - sum(path.stat().st_size for path in work.iterdir()))
-    rows: dict[str, tuple[str, tuple[float, ...]]] = {}
+    rows: dict[str, tuple[str, Position]] = {}
     options = {"total": plan.number, "unit": "image", "leave": False, "disable": None if progress else True}
     bar = tqdm(plan.images, desc=f"prepare {label}", **options)
     for image in bar:

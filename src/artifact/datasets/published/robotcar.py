@@ -20,7 +20,7 @@ from pydantic import Field
 from artifact.datasets import lookalikes
 from artifact.datasets.positions import keep_spacing
 from artifact.datasets.published import archives, poses, preparation
-from artifact.datasets.published.preparation import Kept, Plan, Sources
+from artifact.datasets.published.preparation import Kept, Plan, Position, Sources
 from artifact.datasets.traversal import DatasetError
 
 _OXFORD = (610_000.0, 630_000.0), (5_725_000.0, 5_745_000.0)
@@ -134,7 +134,7 @@ def _poses(sources: Sources) -> tuple[poses.Poses, str]:
     raise DatasetError(f"{wanted}: no poses in {files}; poses=ins takes those of the car's own receiver")
 
 
-def _images(sources: Sources, chunks: list[Path], places: dict[int, tuple[float, ...]]) -> Iterator[Kept]:
+def _images(sources: Sources, chunks: list[Path], places: dict[int, Position]) -> Iterator[Kept]:
     convert = _converter(sources)
     for path in chunks:
         for member in archives.members(path):

@@ -16,7 +16,7 @@ from pydantic import Field
 from artifact.datasets import lookalikes
 from artifact.datasets.positions import keep_spacing
 from artifact.datasets.published import archives, preparation
-from artifact.datasets.published.preparation import Kept, Plan, Sources
+from artifact.datasets.published.preparation import Kept, Plan, Position, Sources
 from artifact.datasets.traversal import DatasetError
 
 _ZONE, _BAND = 56, "J"
@@ -39,7 +39,10 @@ def plan(sources: Sources) -> Plan:
     for member in archives.members(path):
         names.append(member.name)
         if member.name.endswith("fGPS.txt"):
-            _check_traversal(path, member.name, sources.traversal)
+            folder = PurePosixPath(member.name).parent.name
+            wanted = sources.traversal
+            if folder != wanted and folder.replace("_", "").isdecimal():
+                raise DatasetError(f"{path}: holds the traversal {folder}, not {wanted}; put it under its own name")
             text = member.read().decode("ascii", "replace")
         elif member.name.endswith(video.name) and not video.exists():
             member.copy_to(video)
@@ -55,12 +58,6 @@ def plan(sources: Sources) -> Plan:
     found: dict[str, Any] = {"lines": len(positions)}
     images = _frames(video, f"{path}: {video.name}", places, len(positions), sources.parameters.unpaired, found)
     return Plan(images, len(places), _BYTES * len(places), found)
-
-
-def _check_traversal(path: Path, name: str, traversal: str) -> None:
-    folder = PurePosixPath(name).parent.name
-    if folder and folder != traversal and folder.replace("_", "").isdecimal():
-        raise DatasetError(f"{path}: holds the traversal {folder}, not {traversal}; put it under its own name")
 
 
 def _positions(text: str, where: str) -> np.ndarray:
@@ -85,7 +82,7 @@ def _positions(text: str, where: str) -> np.ndarray:
 
 
 def _frames(
-    video: Path, where: str, places: dict[int, tuple[float, ...]], lines: int, unpaired: float, found: dict[str, Any]
+    video: Path, where: str, places: dict[int, Position], lines: int, unpaired: float, found: dict[str, Any]
 ) -> Iterator[Kept]:
     """Decode a film from its beginning, since seeking in such files is inexact, and pair its frames with the lines."""
     av = preparation.optional("av", "av")

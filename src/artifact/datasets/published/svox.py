@@ -11,39 +11,29 @@ import re
 
 from artifact.datasets import lookalikes
 from artifact.datasets.published import archives, preparation
-from artifact.datasets.published.preparation import Kept, Plan, Sources
+from artifact.datasets.published.preparation import Plan, Sources
 from artifact.datasets.traversal import DatasetError
 
-_NUMBERED = {"queries_sun": 1, "queries_rain": 2, "queries_snow": 3, "queries_night": 4, "queries_overcast": 5}
-"""Folders of the first edition, ``queries_1`` and on."""
-
-
-class Parameters(preparation.Parameters):
-    """None."""
+_CONDITIONS = ("sun", "rain", "snow", "night", "overcast")
+_FIRST_EDITION = {f"queries_{name}": f"queries_{number}" for number, name in enumerate(_CONDITIONS, start=1)}
+"""Folders as they were called at first."""
 
 
 def plan(sources: Sources) -> Plan:
     """Keep all images of a folder of the test split, as they are."""
     (path,) = sources.paths.values()
-    members = {member.name: member.size for member in archives.members(path)}
-    lookalikes.refuse("svox", path, members)
-    folders = [sources.traversal]
-    if sources.traversal in _NUMBERED:
-        folders.append(f"queries_{_NUMBERED[sources.traversal]}")
-    pattern = re.compile(rf"(?:^|/)images?/test/(?:{'|'.join(folders)})/([^/]+\.jpe?g)$", re.IGNORECASE)
-    wanted = {name: match[1] for name in members if (match := pattern.search(name))}
+    sizes = {member.name: member.size for member in archives.members(path)}
+    lookalikes.refuse("svox", path, sizes)
+    folders = f"{sources.traversal}|{_FIRST_EDITION.get(sources.traversal, sources.traversal)}"
+    pattern = re.compile(rf"(?:^|/)images?/test/(?:{folders})/([^/]+\.jpe?g)$", re.IGNORECASE)
+    wanted = {name: match[1] for name in sizes if (match := pattern.search(name))}
     if not wanted:
-        splits = sorted({m[1] for name in members if (m := re.search(r"(?:^|/)images?/([^/]+/[^/]+)/", name))})
+        splits = sorted({m[1] for name in sizes if (m := re.search(r"(?:^|/)images?/([^/]+/[^/]+)/", name))})
         raise DatasetError(
             f"{path}: no images in images/test/{sources.traversal}; it holds {', '.join(splits) or 'none in images/'}"
         )
-    positions = {name: _position(f"{path}: {name}", file) for name, file in wanted.items()}
-    kept = (
-        Kept(wanted[member.name], member.name, positions[member.name], member.read)
-        for member in archives.members(path)
-        if member.name in wanted
-    )
-    return Plan(kept, len(wanted), sum(members[name] for name in wanted), {})
+    kept = {name: (file, _position(f"{path}: {name}", file)) for name, file in wanted.items()}
+    return preparation.as_published(path, sizes, kept)
 
 
 def _position(where: str, file: str) -> tuple[float, float]:
