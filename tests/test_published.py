@@ -82,7 +82,7 @@ def put(loaded, dataset, contents):
 
 
 def obtain(loaded, dataset, *traversals, **given):
-    return list(published.obtain(loaded, dataset, traversals, given, progress=False))
+    return list(published.obtain(loaded, dataset, traversals, given))
 
 
 def fault(loaded, dataset, *traversals, **given):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 from tqdm import tqdm
@@ -21,8 +20,6 @@ from artifact.datasets.traversal import DatasetError
 from artifact.manifest import Manifest
 from artifact.manifest.entries import DatasetEntry, ManifestError, quoted
 
-Status = Literal["verified", "present", "missing", "changed"]
-
 
 @dataclass(frozen=True)
 class State:
@@ -34,7 +31,7 @@ class State:
     """
 
     traversal: str
-    status: Status
+    status: Literal["verified", "present", "missing", "changed"]
     images: int | None
     detail: str
     originals: tuple[Original, ...]
@@ -73,8 +70,6 @@ def obtain(
     dataset: str,
     traversals: Sequence[str] = (),
     given: Mapping[str, Any] | None = None,
-    *,
-    progress: bool = True,
 ) -> Iterator[str]:
     """Make traversals of a published dataset ready, by default all; yield a line on each step.
 
@@ -94,7 +89,7 @@ def obtain(
     faults: list[DatasetError] = []
     for name in traversals or entry.traversals:
         try:
-            yield from _obtain_one(manifest, dataset, name, parameters, given, progress=progress)
+            yield from _obtain_one(manifest, dataset, name, parameters, given)
         except DatasetError as error:
             faults.append(error)
     if faults:
@@ -107,7 +102,7 @@ def how_to_obtain(manifest: Manifest, dataset: str) -> list[str]:
     entry, folder = entry_of(manifest, dataset), originals.downloads(manifest, dataset)
     parameters = preparation.parameters_of(dataset, entry, {}).model_dump()
     names = {file.path.name for file in originals.needed(manifest, dataset, list(entry.traversals), parameters)}
-    there = {path.name for path in folder.glob("[!.]*")} if folder.is_dir() else set()
+    there = {path.name for path in folder.glob("[!.]*")}
     others = sorted(name for name in there - names if not name.endswith(".lock.json"))
     return [
         f"how to get {entry.title}:",
@@ -120,16 +115,16 @@ def how_to_obtain(manifest: Manifest, dataset: str) -> list[str]:
 
 
 def _obtain_one(
-    manifest: Manifest, dataset: str, name: str, parameters: Any, given: Mapping[str, Any], *, progress: bool
+    manifest: Manifest, dataset: str, name: str, parameters: Any, given: Mapping[str, Any]
 ) -> Iterator[str]:
-    entry, label, folder = (
-        entry_of(manifest, dataset),
-        f"{dataset}/{name}",
-        datasets.image_folder(manifest, dataset, name),
-    )
+    label, folder = f"{dataset}/{name}", datasets.image_folder(manifest, dataset, name)
 
     def is_ready() -> bool:
-        return folder.is_dir() and not _differs(folder, parameters, given)
+        """Whether the folder is there, and was not prepared with other parameters than those asked for."""
+        if not (given and prepared.is_prepared(folder)):
+            return folder.is_dir()
+        made, asked = prepared.read_sidecar(folder)["parameters"], parameters.model_dump(mode="json")
+        return all(made.get(key) == asked[key] for key in given)
 
     if is_ready():
         found = datasets.load_traversal(manifest, dataset, name)
@@ -141,19 +136,12 @@ def _obtain_one(
         if is_ready():  # another process was faster
             yield f"{label}: prepared meanwhile: {folder}"
             return
-        originals.fetch(files, label, progress=progress)
-        bar = tqdm(files, unit="file", desc=f"check {label}", leave=False, disable=None if progress else True)
+        originals.fetch(files, label)
+        bar = tqdm(files, unit="file", desc=f"check {label}", leave=False, disable=None)
         digests = [originals.digest(file, manifest.cache) for file in bar]
-        sources = Sources(entry, name, {file.path.name: file.path for file in files}, parameters)
-        record = preparation.prepare(folder, label, sources, digests, progress=progress)
+        paths = {file.path.name: file.path for file in files}
+        sources = Sources(manifest.dataset(dataset), name, paths, parameters)
+        record = preparation.prepare(folder, label, sources, digests)
         for file, found in zip(files, digests, strict=True):
             originals.write_lock(file, found)
     yield f"{label}: {record['number']:,} images prepared{preparation.in_words(record['found'])}: {folder}"
-
-
-def _differs(folder: Path, parameters: Any, given: Mapping[str, Any]) -> bool:
-    """Whether a prepared folder was made with other parameters than those asked for."""
-    if not (given and prepared.is_prepared(folder)):
-        return False
-    made, asked = prepared.read_sidecar(folder)["parameters"], parameters.model_dump(mode="json")
-    return any(made.get(key) != asked[key] for key in given)

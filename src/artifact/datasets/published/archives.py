@@ -15,6 +15,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import IO
 
@@ -47,12 +48,12 @@ class Member:
     def copy_to(self, target: Path) -> None:
         """Write the content to a file, which gets its name when it is whole."""
         require_room(target.parent, self.size)
-        partial = target.with_name(f".{target.name}.part")
-        with _legible(self._archive), self._open() as stream, partial.open("wb") as written:
+        unfinished = target.with_name(f".{target.name}.part")
+        with _legible(self._archive), self._open() as stream, unfinished.open("wb") as written:
             shutil.copyfileobj(stream, written, 1 << 20)
-        if partial.stat().st_size != self.size:
+        if unfinished.stat().st_size != self.size:
             raise _damaged(self._archive, f"{self.name} is cut short")
-        partial.replace(target)
+        unfinished.replace(target)
 
 
 def members(path: Path) -> Iterator[Member]:
@@ -65,7 +66,11 @@ def members(path: Path) -> Iterator[Member]:
     DatasetError
         If the archive is missing, is a web page, is damaged or cut short, or is refused.
     """
-    head = _head(path)
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(512)
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
     if looks_like_page(head):
         raise DatasetError(
             f"{path}: is a web page, not an archive; delete it, open its address in a browser and download the file itself"
@@ -93,20 +98,6 @@ def require_room(folder: Path, size: int) -> None:
         )
 
 
-def require_archive(path: Path, suffix: str) -> None:
-    """Raise ``DatasetError`` if a file that will have this suffix is no archive, as far as its beginning shows."""
-    if suffix in (".zip", ".tar", ".gz"):
-        next(members(path), None)
-
-
-def _head(path: Path) -> bytes:
-    try:
-        with path.open("rb") as stream:
-            return stream.read(512)
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
-
-
 def _of_zip(path: Path) -> Iterator[Member]:
     with zipfile.ZipFile(path) as archive:
         for info in archive.infolist():
@@ -115,33 +106,23 @@ def _of_zip(path: Path) -> Iterator[Member]:
             if info.flag_bits & 1:
                 raise _refused(path, f"{info.filename!r} is encrypted")
             if not info.is_dir():
-                yield Member(_safe(path, info.filename), info.file_size, path, lambda info=info: archive.open(info))
+                yield Member(_safe(path, info.filename), info.file_size, path, partial(archive.open, info))
 
 
 def _of_tar(path: Path) -> Iterator[Member]:
     with tarfile.open(path, "r:*") as archive:
         for info in archive:
-            if not (info.isreg() or info.isdir()):
-                what = (
-                    f"the link {info.name!r} to {info.linkname!r}"
-                    if info.issym() or info.islnk()
-                    else f"the device {info.name!r}"
-                )
-                raise _refused(path, f"holds {what}")
+            if info.issym() or info.islnk():
+                raise _refused(path, f"holds the link {info.name!r} to {info.linkname!r}")
             if info.isreg():
-                yield Member(_safe(path, info.name), info.size, path, lambda info=info: _stream(archive, info))
+                yield Member(_safe(path, info.name), info.size, path, partial(archive.extractfile, info))
+            elif not info.isdir():
+                raise _refused(path, f"holds the device {info.name!r}")
             archive.members = []  # a list of all that was read is kept otherwise
         # Python takes an archive that ends in the middle of a header for a whole one.
-        assert archive.fileobj is not None
         archive.fileobj.seek(archive.offset)
         if len(archive.fileobj.read(tarfile.BLOCKSIZE)) < tarfile.BLOCKSIZE:
             raise _damaged(path, "the mark of its end is missing")
-
-
-def _stream(archive: tarfile.TarFile, info: tarfile.TarInfo) -> IO[bytes]:
-    stream = archive.extractfile(info)
-    assert stream is not None, "only regular files are yielded"
-    return stream
 
 
 def _safe(path: Path, name: str) -> str:

@@ -8,38 +8,28 @@ from it; any later difference is an error.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import groupby
+from itertools import groupby, product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from artifact import store
 from artifact.datasets import download
 from artifact.datasets.published import archives
 from artifact.datasets.traversal import DatasetError
 from artifact.manifest import Manifest
-from artifact.manifest.entries import DatasetEntry, PublishedFile
+from artifact.manifest.entries import PublishedFile
 
 
 class MissingFilesError(DatasetError):
     """Published files that are not here; the message names them and says how to get them."""
 
 
-@dataclass(frozen=True)
-class Original:
+class Original(NamedTuple):
     """A published file, and where it lies or would lie."""
 
     path: Path
     entry: PublishedFile
-
-    @property
-    def size(self) -> str:
-        """Its size in words."""
-        if self.path.exists():
-            return in_words(self.path.stat().st_size / 1e6)
-        known = self.entry.size / 1e6 if self.entry.size else self.entry.megabytes
-        return in_words(known)
 
 
 def in_words(megabytes: float | None) -> str:
@@ -52,13 +42,9 @@ def in_words(megabytes: float | None) -> str:
     """
     if megabytes is None:
         return "size unknown"
-    return (
-        f"{megabytes / 1000:,.1f} GB"
-        if megabytes >= 1000
-        else f"{megabytes:.3g} MB"
-        if megabytes >= 1
-        else f"{megabytes:.1f} MB"
-    )
+    if megabytes >= 1000:
+        return f"{megabytes / 1000:,.1f} GB"
+    return f"{megabytes:.3g} MB" if megabytes >= 1 else f"{megabytes:.1f} MB"
 
 
 def downloads(manifest: Manifest, dataset: str) -> Path:
@@ -71,25 +57,17 @@ def needed(
 ) -> list[Original]:
     """Return the published files that traversals are prepared from with these parameters, each once."""
     entry, folder = manifest.dataset(dataset), downloads(manifest, dataset)
-    found = {}
-    for traversal in traversals:
-        for name, file in _files(entry, traversal, parameters):
-            found.setdefault(name, Original(folder / name, file))
+    found: dict[str, Original] = {}
+    for traversal, file in product(traversals, entry.preparation.files):
+        serves = all(parameters.get(name) in allowed for name, allowed in file.when.items())
+        if serves and traversal in (file.traversals or entry.traversals):
+            for part in range(1, (file.parts or 1) + 1):
+                name = file.file.format(traversal=traversal, part=part)
+                found.setdefault(name, Original(folder / name, file))
     return list(found.values())
 
 
-def _files(entry: DatasetEntry, traversal: str, parameters: Mapping[str, Any]) -> list[tuple[str, PublishedFile]]:
-    assert entry.preparation is not None
-    return [
-        (file.file.format(traversal=traversal, part=part), file)
-        for file in entry.preparation.files
-        if traversal in (file.traversals or entry.traversals)
-        and all(parameters.get(name) in allowed for name, allowed in file.when.items())
-        for part in range(1, (file.parts or 1) + 1)
-    ]
-
-
-def fetch(files: Sequence[Original], label: str, *, progress: bool = True) -> None:
+def fetch(files: Sequence[Original], label: str) -> None:
     """Download the published files that are not here, going on from what has arrived.
 
     Raises :class:`MissingFilesError` if some have no address, or none that gives a whole file; it says how to do it by hand.
@@ -104,11 +82,12 @@ def fetch(files: Sequence[Original], label: str, *, progress: bool = True) -> No
     for file in missing:
         if file.entry.urls:
             try:
-                _download(file, progress=progress)
+                _download(file)
             except download.DownloadError as error:
+                size = in_words(file.entry.size / 1e6 if file.entry.size else file.entry.megabytes)
                 faults.append(
                     f"{label}: {file.path.name} could not be downloaded\n{error}\n  by hand: open {file.entry.urls[0]} in a "
-                    f"browser, save the file ({file.size}) as {file.path} and run the same command again"
+                    f"browser, save the file ({size}) as {file.path} and run the same command again"
                 )
     if faults:
         raise MissingFilesError("\n".join(faults))
@@ -122,18 +101,19 @@ def _names(files: Sequence[Original]) -> Iterator[str]:
         yield from [f"{same[0].path.name} to {same[-1].path.name}"] if whole else (file.path.name for file in same)
 
 
-def _download(file: Original, *, progress: bool) -> None:
-    path, entry = file.path, file.entry
+def _download(file: Original) -> None:
+    path, entry = file
 
     def accept(partial: Path) -> None:
         try:
-            archives.require_archive(partial, path.suffix)
+            if path.suffix in (".zip", ".tar", ".gz"):
+                next(archives.members(partial), None)
         except DatasetError as error:
             raise download.DownloadError(str(error)) from None
 
     sha256 = entry.sha256 or (read_lock(path) or {}).get("sha256")
     with store.lock(path):
-        download.retrieve(entry.urls, path, sha256=sha256, size=entry.size, accept=accept, progress=progress)
+        download.retrieve(entry.urls, path, sha256=sha256, size=entry.size, accept=accept)
 
 
 def digest(original: Original, cache: Path | None) -> dict[str, Any]:
@@ -141,7 +121,7 @@ def digest(original: Original, cache: Path | None) -> dict[str, Any]:
 
     Raises ``DatasetError`` if it is not what the manifest or its lock file says.
     """
-    path, entry = original.path, original.entry
+    path, entry = original
     found = {"file": path.name, "size": path.stat().st_size, "sha256": store.digest_of_files([path], cache)[0]}
     for key, expected in (("size", entry.size), ("sha256", entry.sha256)):
         if expected not in (None, found[key]):

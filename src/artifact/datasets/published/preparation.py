@@ -101,7 +101,6 @@ def as_published(
 
 def recipe_of(entry: DatasetEntry) -> ModuleType:
     """Return the module of a dataset's recipe: it has ``plan``, and ``Parameters`` if there are any."""
-    assert entry.preparation is not None
     return import_module(f"artifact.datasets.published.{entry.preparation.recipe}")
 
 
@@ -122,9 +121,7 @@ def parameters_of(dataset: str, entry: DatasetEntry, given: Mapping[str, Any]) -
         ) from None
 
 
-def prepare(
-    folder: Path, label: str, sources: Sources, digests: list[dict[str, Any]], *, progress: bool = True
-) -> dict[str, Any]:
+def prepare(folder: Path, label: str, sources: Sources, digests: list[dict[str, Any]]) -> dict[str, Any]:
     """Write a traversal into ``folder``, replacing what was prepared there before; return its sidecar.
 
     ``digests`` describe the published files. Raises ``DatasetError`` if they are not what they should be, or the disk is
@@ -133,7 +130,7 @@ def prepare(
     inputs = {
         "dataset": label.partition("/")[0],
         "traversal": sources.traversal,
-        "recipe": sources.entry.preparation.recipe if sources.entry.preparation else None,
+        "recipe": sources.entry.preparation.recipe,
         "revision": _REVISION,
         "parameters": sources.parameters.model_dump(),
         "sources": digests,
@@ -147,7 +144,7 @@ def prepare(
         for made in (work, sources.scratch):
             made.mkdir(parents=True, exist_ok=True)
         plan = recipe_of(sources.entry).plan(sources)
-        _write(work, label, plan, sources, progress=progress)
+        _write(work, label, plan, sources)
         names = _check_images(work, label)
         sidecar = {
             **inputs,
@@ -170,12 +167,11 @@ def prepare(
     return sidecar
 
 
-def _write(work: Path, label: str, plan: Plan, sources: Sources, *, progress: bool) -> None:
+def _write(work: Path, label: str, plan: Plan, sources: Sources) -> None:
     """Write the images that are not there yet, then the index."""
     require_room(work, plan.size - sum(path.stat().st_size for path in work.iterdir()))
     rows: dict[str, tuple[str, Position]] = {}
-    options = {"total": plan.number, "unit": "image", "leave": False, "disable": None if progress else True}
-    bar = tqdm(plan.images, desc=f"prepare {label}", **options)
+    bar = tqdm(plan.images, total=plan.number, unit="image", desc=f"prepare {label}", leave=False, disable=None)
     for image in bar:
         if image.name in rows:
             raise DatasetError(f"{label}: two images {image.name!r} ({rows[image.name][0]}, {image.original})")
