@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load_file
 
 from artifact.datasets.folder import natural_order
 from artifact.datasets.positions import in_metres, names_in_csv, positions_from_csv, positions_from_names, zone_of
@@ -75,9 +77,9 @@ def read_descriptors(path: Path) -> Descriptors:
         raise DatasetError(f"{path}: the ending is {path.suffix!r}; descriptors are read from {', '.join(FORMATS)}")
     try:
         found = _READERS[path.suffix.lower()](path)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        if isinstance(error, DatasetError):
-            raise
+    except DatasetError:
+        raise
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, SafetensorError) as error:
         raise DatasetError(f"{path}: cannot be read as {path.suffix} ({error})") from None
     values = found.values
     if values.ndim != 2 or values.dtype.kind != "f" or 0 in values.shape:
@@ -90,25 +92,11 @@ def read_descriptors(path: Path) -> Descriptors:
     return Descriptors(values, found.names)
 
 
-def _from_npy(path: Path) -> Descriptors:
-    return Descriptors(np.load(path, mmap_mode="r", allow_pickle=False), None)
-
-
 def _from_npz(path: Path) -> Descriptors:
     with np.load(path, allow_pickle=False) as arrays:
         found = {name: arrays[name] for name in arrays.files}
     names = next((found[name] for name in _NAMES if name in found), None)
     return Descriptors(_chosen(path, found), None if names is None else [str(name) for name in names])
-
-
-def _from_safetensors(path: Path) -> Descriptors:
-    from safetensors import SafetensorError
-    from safetensors.numpy import load_file
-
-    try:
-        return Descriptors(_chosen(path, load_file(path)), None)
-    except SafetensorError as error:
-        raise ValueError(error) from None
 
 
 def _chosen(path: Path, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -143,8 +131,13 @@ def _from_hdf5(path: Path) -> Descriptors:
     return Descriptors(np.stack([found[name] for name in names]), names)
 
 
-_READERS = {".npy": _from_npy, ".npz": _from_npz, ".safetensors": _from_safetensors}
-_READERS |= dict.fromkeys((".h5", ".hdf5"), _from_hdf5)
+_READERS = {
+    ".npy": lambda path: Descriptors(np.load(path, mmap_mode="r", allow_pickle=False), None),
+    ".npz": _from_npz,
+    ".safetensors": lambda path: Descriptors(_chosen(path, load_file(path)), None),
+    ".h5": _from_hdf5,
+    ".hdf5": _from_hdf5,
+}
 FORMATS = tuple(_READERS)
 
 

@@ -111,31 +111,26 @@ def bundles(manifest: Manifest) -> Iterator[Bundle]:
 
 def traversal(manifest: Manifest, dataset: str, name: str) -> Traversal | None:
     """Return a traversal as imported bundles record it, all of its methods together; ``None`` if none does."""
-    found: Traversal | None = None
     if dataset not in manifest.datasets:
         return None
-    entry = manifest.dataset(dataset)
+    entry, found = manifest.datasets[dataset], []
     for bundle in sorted((manifest.cache / FOLDER).glob("[!.]*/bundle.json")):
         path = bundle.parent / "traversals" / dataset / f"{name}.json"
-        if not path.exists():
-            continue
-        record = read_record(path, TraversalRecord)
-        same = (record.kind, record.condition) == (entry.kind, entry.traversals[name].condition)
-        if same and (found is None or found.digest == record.digest):
-            found = _traversal(dataset, name, record, found)
-    return found
-
-
-def _traversal(dataset: str, name: str, record: TraversalRecord, before: Traversal | None) -> Traversal:
-    descriptors = {method: Given(None, one.sha256, one.model_dump()) for method, one in record.descriptors.items()}
-    second = {method: Given(None, one.second) for method, one in record.descriptors.items() if one.second}
+        if path.exists():
+            record = read_record(path, TraversalRecord)
+            same = (record.kind, record.condition) == (entry.kind, entry.traversals[name].condition)
+            if same and (not found or found[0].digest == record.digest):
+                found.append(record)
+    if not found:
+        return None
+    recorded = [described for record in found for described in record.descriptors.items()]
     return Traversal(
         dataset,
         name,
-        record.condition,
-        tuple(record.image_names),
-        np.array(record.positions, np.float64),
-        record.digest,
-        descriptors={**(before.descriptors if before else {}), **descriptors},
-        second_stage={**(before.second_stage if before else {}), **second},
+        found[-1].condition,
+        tuple(found[-1].image_names),
+        np.array(found[-1].positions, np.float64),
+        found[-1].digest,
+        descriptors={method: Given(None, one.sha256, one.model_dump()) for method, one in recorded},
+        second_stage={method: Given(None, one.second) for method, one in recorded if one.second},
     )

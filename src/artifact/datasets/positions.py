@@ -89,16 +89,17 @@ def positions_from_csv(path: Path, names: list[str], part: str = "") -> tuple[np
         alike = {_plain(key): key for key in table}.get(_plain(missing[0]))
         hint = f"; it has {alike!r}, in other case or another form of Unicode" if alike else ""
         raise DatasetError(f"{path}: no row for {len(missing)} of {len(names)} images, first {missing[0]!r}{hint}")
-    positions = finite(np.array([table[key] for key in keys], dtype=np.float64), path, names)
-    if kind == "degrees":
-        outside = np.flatnonzero((np.abs(positions) > [90, 180]).any(axis=1))
-        if outside.size:
-            name, values = names[outside[0]], positions[outside[0]].tolist()
-            raise DatasetError(f"{path}: latitude and longitude of {name!r} are {values}")
-        return earth_centred(*positions.T), "metres"
+    positions = np.array([table[key] for key in keys], dtype=np.float64)
     if kind == "metres":
-        in_metres(positions, path, names)
-    return positions, "frames" if kind == "index" else "metres"
+        return in_metres(positions, path, names), "metres"
+    _require_finite(positions, path, names)
+    if kind == "index":
+        return positions, "frames"
+    outside = np.flatnonzero((np.abs(positions) > [90, 180]).any(axis=1))
+    if outside.size:
+        name, values = names[outside[0]], positions[outside[0]].tolist()
+        raise DatasetError(f"{path}: latitude and longitude of {name!r} are {values}")
+    return earth_centred(*positions.T), "metres"
 
 
 def earth_centred(latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
@@ -126,7 +127,7 @@ def in_metres(positions: np.ndarray, where: Path, names: Sequence[object]) -> np
     Raises ``DatasetError`` if a value is not finite, or all look like degrees: of their size, away from the origin, and
     closer to each other than images of a traversal in metres are.
     """
-    finite(positions, where, names)
+    _require_finite(positions, where, names)
     plane = positions[:, :2]
     largest, apart = np.abs(plane).max(), np.ptp(plane, axis=0).max()
     steps = np.linalg.norm(np.diff(plane, axis=0), axis=1)
@@ -170,12 +171,10 @@ def _positions_table(path: Path) -> tuple[dict[str, list[float]], str]:
     return table, kind
 
 
-def finite(positions: np.ndarray, where: Path, names: Sequence[object]) -> np.ndarray:
-    """Return positions as they are, all of which must be finite numbers."""
+def _require_finite(positions: np.ndarray, where: Path, names: Sequence[object]) -> None:
     bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
     if bad.size:
         raise DatasetError(f"{where}: the position of {names[bad[0]]!r} is not a finite number")
-    return positions
 
 
 def _plain(name: str) -> str:
