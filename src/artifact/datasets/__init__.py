@@ -6,10 +6,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -76,65 +75,46 @@ def load_traversal(manifest: Manifest, dataset: str, name: str) -> Traversal:
         return _load_described(manifest, dataset, entry, name) if here else recorded
     if entry.kind == "city" and recorded is None:
         render(traversal.render or {}, manifest.cache, f"{dataset}/{name}")
-    images: Path | None = _images(manifest, dataset, entry, name)
-    digests: list[str] = []
-    preparation: dict[str, Any] = {}
-    if images.is_dir():
-        names, positions = listed(manifest, dataset, name)
-        digests = prepared.digests_of_images(images, names, manifest.cache)
-        digest = store.key(images=list(zip(names, digests, strict=True)))
-        if prepared.is_prepared(images):
-            preparation = prepared.unchanged(images, digest)
-        if recorded is not None and recorded.digest == digest and np.array_equal(recorded.positions, positions):
-            return replace(recorded, folder=images, image_digests=tuple(digests), preparation=preparation)
-    elif recorded is not None:
-        return recorded
-    elif without_images := shipped.traversal(entry.root or dataset, name):
-        (names, digest), images = without_images, None
+    images = _images(manifest, dataset, entry, name)
+    if not images.is_dir():
+        if recorded is not None:
+            return recorded
+        found = shipped.traversal(entry.root or dataset, name)
+        if found is None:
+            raise DatasetError(_missing(manifest, dataset, entry, images))
+        names, digest = found
         positions = np.arange(len(names), dtype=np.float64)[:, None]
-    else:
-        raise DatasetError(_missing(manifest, dataset, entry, images))
-    return Traversal(
-        dataset,
-        name,
-        traversal.condition,
-        tuple(names),
-        positions,
-        digest,
-        images,
-        image_digests=tuple(digests),
-        preparation=preparation,
-    )
+        return Traversal(dataset, name, traversal.condition, tuple(names), positions, digest)
+    names, positions = listed(manifest, dataset, name)
+    digests = prepared.digests_of_images(images, names, manifest.cache)
+    digest = store.key(images=list(zip(names, digests, strict=True)))
+    preparation = prepared.unchanged(images, digest) if prepared.is_prepared(images) else {}
+    of_images = {"folder": images, "image_digests": tuple(digests), "preparation": preparation}
+    if recorded is not None and recorded.digest == digest and np.array_equal(recorded.positions, positions):
+        return replace(recorded, **of_images)
+    return Traversal(dataset, name, traversal.condition, tuple(names), positions, digest, **of_images)
 
 
 def _load_described(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
     """Load a traversal that is given by its descriptors."""
-    traversal, root = entry.traversals[name], manifest.data_root / (entry.root or dataset)
+    traversal, root, label = entry.traversals[name], manifest.data_root / (entry.root or dataset), f"{dataset}/{name}"
     file = _positions_table(manifest, dataset, entry, name)
     names = names_in_csv(file)
     positions, found = positions_from_csv(file, names)
-    if (found == "metres") != (entry.threshold.unit == "metres"):
-        raise DatasetError(
-            f"{dataset}/{name}: the threshold is in {entry.threshold.unit} but the positions in {file} are in {found}"
-        )
-    given = [
-        _with_digests(f"{dataset}/{name}", {method: root / path for method, path in files.items()}, manifest.cache)
-        for files in (traversal.descriptors, traversal.second_stage)
-    ]
+    _check_unit(label, entry, found, f"in {file} are in {found}")
+    given: list[dict[str, Given]] = []
+    for files in (traversal.descriptors, traversal.second_stage):
+        paths = [root / path for path in files.values()]
+        if missing := [path for path in paths if not path.is_file()]:
+            raise DatasetError(f"{label}: no file {missing[0]}, which the manifest names")
+        digests = store.digest_of_files(paths, manifest.cache)
+        given.append(dict(zip(files, map(Given, paths, digests), strict=True)))
     digest = store.key(names=names, given=[{method: one.sha256 for method, one in files.items()} for files in given])
     return Traversal(dataset, name, traversal.condition, tuple(names), positions, digest, None, *given)
 
 
 def _positions_table(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Path:
     return manifest.data_root / (entry.root or dataset) / (entry.traversals[name].positions_file or f"{name}.csv")
-
-
-def _with_digests(label: str, files: Mapping[str, Path], cache: Path) -> dict[str, Given]:
-    missing = [path for path in files.values() if not path.is_file()]
-    if missing:
-        raise DatasetError(f"{label}: no file {missing[0]}, which the manifest names")
-    digests = store.digest_of_files(list(files.values()), cache)
-    return {method: Given(path, digest) for (method, path), digest in zip(files.items(), digests, strict=True)}
 
 
 def image_folder(manifest: Manifest, dataset: str, name: str) -> Path:
@@ -152,33 +132,31 @@ def _images(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) ->
 def listed(manifest: Manifest, dataset: str, name: str) -> tuple[list[str], np.ndarray]:
     """Return the image names and positions of a traversal whose folder is there, reading no image."""
     entry = manifest.dataset(dataset)
-    traversal, root, unit = entry.traversals[name], manifest.data_root / (entry.root or dataset), entry.threshold.unit
+    traversal, root = entry.traversals[name], manifest.data_root / (entry.root or dataset)
     images = _images(manifest, dataset, entry, name)
-    if prepared.is_prepared(images):
+    if is_prepared := prepared.is_prepared(images):
+        source = "csv"
         names, positions, found = prepared.listed(images)
-        _check_unit(dataset, name, unit, found, "csv")
-        return names, positions
-    _refuse_unprepared(dataset, entry, images)
-    names = _image_names(manifest, dataset, entry, name)
-    source = _source(traversal, images, root)
-    if source == "names":
-        positions, found = positions_from_names(images, names), "metres"
-    elif source == "csv":
-        file = _positions_file(traversal, images, root)
-        positions, found = positions_from_csv(file, names, images.name)
     else:
-        positions, found = _frame_indices(manifest, dataset, entry, names)[:, None], "frames"
-    _check_unit(dataset, name, unit, found, source)
-    if traversal.spacing is not None:
+        _refuse_unprepared(dataset, entry, images)
+        names, source = _image_names(manifest, dataset, entry, name), _source(traversal, images, root)
+        if source == "names":
+            positions, found = positions_from_names(images, names), "metres"
+        elif source == "csv":
+            positions, found = positions_from_csv(_positions_file(traversal, images, root), names, images.name)
+        else:
+            positions, found = _frame_indices(manifest, dataset, entry, names)[:, None], "frames"
+    _check_unit(f"{dataset}/{name}", entry, found, "are the frame order" if source == "order" else f"are in {found}")
+    if traversal.spacing is not None and not is_prepared:
         kept = keep_spacing(positions, traversal.spacing)
         names, positions = [names[index] for index in kept], positions[kept]
     return names, positions
 
 
-def _check_unit(dataset: str, name: str, unit: str, found: str, source: str) -> None:
+def _check_unit(label: str, entry: DatasetEntry, found: str, where: str) -> None:
+    unit = entry.threshold.unit
     if (found == "metres") != (unit == "metres"):
-        where = "are the frame order" if source == "order" else f"are in {found}"
-        raise DatasetError(f"{dataset}/{name}: the threshold is in {unit} but the positions {where}")
+        raise DatasetError(f"{label}: the threshold is in {unit} but the positions {where}")
 
 
 def _refuse_unprepared(dataset: str, entry: DatasetEntry, images: Path) -> None:

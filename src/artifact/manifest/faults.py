@@ -42,26 +42,21 @@ def _compose(path: Path) -> yaml.Node:
 def _plain(node: yaml.Node, path: Path) -> Any:
     """Build plain Python values, refusing a key that is written twice (YAML would keep the last silently)."""
     if isinstance(node, yaml.MappingNode):
-        seen: dict[Any, int] = {}
+        lines: dict[Any, int] = {}
         result = {}
         for key_node, value_node in node.value:
-            key = _plain(key_node, path)
-            line = key_node.start_mark.line + 1
-            if key in seen:
-                raise ManifestError(f"{path}:{line}: the key {key!r} is already on line {seen[key]}")
-            seen[key] = line
-            result[key] = _plain(value_node, path)
+            key, line = _plain(key_node, path), key_node.start_mark.line + 1
+            if key in lines:
+                raise ManifestError(f"{path}:{line}: the key {key!r} is already on line {lines[key]}")
+            lines[key], result[key] = line, _plain(value_node, path)
         return result
     if isinstance(node, yaml.SequenceNode):
         return [_plain(item, path) for item in node.value]
-    loader = yaml.SafeLoader("")
     try:
-        return loader.construct_object(node)
+        return yaml.SafeLoader("").construct_object(node)
     except yaml.YAMLError:
         found = f"{path}:{node.start_mark.line + 1}: found {node.value!r} with the tag {node.tag}"
         raise ManifestError(f"{found}; allowed: plain text, numbers, true, false, null") from None
-    finally:
-        loader.dispose()
 
 
 def _line(root: yaml.Node, location: tuple[Any, ...]) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import NamedTuple
 
 from artifact.manifest.entries import DatasetEntry, ManifestError, Positions, Threshold, TraversalEntry
 from artifact.manifest.faults import read
@@ -27,9 +26,6 @@ _COLUMNS = {
 KINDS = {"metres": ("x", "y"), "degrees": ("latitude", "longitude"), "index": ("index",)}
 """Columns that positions of each kind need."""
 
-_QUERY_FOLDERS = ("queries", "query")
-_DATABASE_FOLDERS = ("database", "gallery")
-
 
 def entry_of_folder(folder: Path) -> DatasetEntry:
     """Return the entry of a dataset that is a folder.
@@ -43,7 +39,7 @@ def entry_of_folder(folder: Path) -> DatasetEntry:
     if (folder / DESCRIPTION).is_file():
         entry = read(folder / DESCRIPTION, DatasetEntry)
         return entry if entry.root else entry.model_copy(update={"root": str(folder)})
-    query, database = _one_of(folder, _QUERY_FOLDERS), _one_of(folder, _DATABASE_FOLDERS)
+    query, database = _one_of(folder, "queries", "query"), _one_of(folder, "database", "gallery")
     sources = {part: positions_source(folder / part) for part in (query, database)}
     beside = POSITIONS_FILE if (folder / POSITIONS_FILE).is_file() and "csv" not in sources.values() else None
     if beside:
@@ -66,7 +62,7 @@ def entry_of_folder(folder: Path) -> DatasetEntry:
     )
 
 
-def _one_of(folder: Path, candidates: tuple[str, ...]) -> str:
+def _one_of(folder: Path, *candidates: str) -> str:
     found = [candidate for candidate in candidates if (folder / candidate).is_dir()]
     if len(found) != 1:
         raise ManifestError(
@@ -107,36 +103,27 @@ def files_below(folder: Path) -> tuple[list[str], list[str]]:
     return images, others
 
 
-class Header(NamedTuple):
-    """The header of a positions file: where each known column stands, and what the positions are.
-
-    ``kind`` is one of :data:`KINDS`, or ``None`` without the columns of any.
-    """
-
-    separator: str
-    columns: list[str]
-    at: dict[str, int]
-    kind: str | None
-
-
-def header_of(line: str) -> Header:
+def header_of(line: str) -> tuple[str, list[str], dict[str, int], str | None]:
     """Read the first line of a positions file; columns are known by several names.
+
+    Returns the separator, all columns, the place of each known one, and the one of :data:`KINDS` that they make, or ``None``.
 
     Examples
     --------
-    >>> header_of("Name;North;East").at
-    {'image': 0, 'x': 2, 'y': 1}
+    >>> header_of("Name;North;East")
+    (';', ['name', 'north', 'east'], {'image': 0, 'x': 2, 'y': 1}, 'metres')
     """
     separator = max(",;\t", key=line.count)
     columns = [column.strip().strip('"').lower() for column in line.split(separator)]
     at = {name: columns.index(alias) for name, known in _COLUMNS.items() for alias in known[::-1] if alias in columns}
     kind = next((kind for kind, needed in KINDS.items() if all(name in at for name in needed)), None)
-    return Header(separator, columns, at, kind)
+    return separator, columns, at, kind
 
 
 def has_index(path: Path) -> bool:
     """Say whether a positions file holds frame indices and no metres."""
-    return header_of((text_of(path).splitlines() or [""])[0]).kind == "index"
+    *_, kind = header_of((text_of(path).splitlines() or [""])[0])
+    return kind == "index"
 
 
 def text_of(path: Path) -> str:
