@@ -138,7 +138,13 @@ def listed(manifest: Manifest, dataset: str, name: str) -> tuple[list[str], np.n
         source = "csv"
         names, positions, found = prepared.listed(images)
     else:
-        _refuse_unprepared(dataset, entry, images)
+        if entry.preparation is not None:  # filled by hand, which may be right or not
+            lookalikes.refuse(entry.preparation.recipe, images, folder.list_images(images))
+            if not entry.preparation.used_as_unpacked:
+                raise DatasetError(
+                    f"{images}: holds images that were not prepared from the published files: which to use, and where they are, is "
+                    f"not known; move the folder away and run `make data DATASET={dataset}`"
+                )
         names, source = _image_names(manifest, dataset, entry, name), _source(traversal, images, root)
         if source == "names":
             positions, found = positions_from_names(images, names), "metres"
@@ -157,18 +163,6 @@ def _check_unit(label: str, entry: DatasetEntry, found: str, where: str) -> None
     unit = entry.threshold.unit
     if (found == "metres") != (unit == "metres"):
         raise DatasetError(f"{label}: the threshold is in {unit} but the positions {where}")
-
-
-def _refuse_unprepared(dataset: str, entry: DatasetEntry, images: Path) -> None:
-    """Refuse a folder of a published dataset that was filled by hand, where that cannot be right."""
-    if entry.preparation is None:
-        return
-    lookalikes.refuse(entry.preparation.recipe, images, folder.list_images(images))
-    if not entry.preparation.used_as_unpacked:
-        raise DatasetError(
-            f"{images}: holds images that were not prepared from the published files: which to use, and where they are, is "
-            f"not known; move the folder away and run `make data DATASET={dataset}`"
-        )
 
 
 def _image_names(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> list[str]:

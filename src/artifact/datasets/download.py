@@ -96,7 +96,7 @@ def retrieve(
         raise DownloadError(f"{target} is there, but its SHA-256 is not {sha256}; move it away and run again")
 
     def bring(url: str, output_file: str, _: pooch.Pooch) -> None:
-        partial = _partial(url, target)
+        partial = target.with_name(f".{target.name}.{hashlib.sha256(url.encode()).hexdigest()[:8]}.partial")
         fetch(url, partial, label=target.name, progress=progress, size=size)
         try:
             if size not in (None, _size(partial)):
@@ -123,10 +123,6 @@ def retrieve(
                 left.unlink()
             return url
     raise DownloadError("\n".join(reasons) or f"no address of {target.name} is known")
-
-
-def _partial(url: str, target: Path) -> Path:
-    return target.with_name(f".{target.name}.{hashlib.sha256(url.encode()).hexdigest()[:8]}.partial")
 
 
 def fetch(url: str, partial: Path, *, label: str, progress: bool = True, size: int | None = None) -> None:
@@ -245,15 +241,15 @@ def _request(url: str, start: int, journal: dict[str, Any]) -> urllib.request.Re
 
 
 def _response(request: urllib.request.Request, partial: Path) -> http.client.HTTPResponse:
-    try:
-        with _on_network(request):
+    with _on_network(request):
+        try:
             response = urllib.request.urlopen(request, timeout=TIMEOUT)
-    except urllib.error.HTTPError as error:
-        error.close()
-        if error.code == 416 and request.has_header("Range"):  # the server's file is shorter than what we have
-            raise _changed(partial) from None
-        fault = _Interrupted if error.code in _PASSING else DownloadError
-        raise fault(f"the server answered {error.code} ({error.reason})") from None
+        except urllib.error.HTTPError as error:
+            error.close()
+            if error.code == 416 and request.has_header("Range"):  # the server's file is shorter than what we have
+                raise _changed(partial) from None
+            fault = _Interrupted if error.code in _PASSING else DownloadError
+            raise fault(f"the server answered {error.code} ({error.reason})") from None
     if not isinstance(response, http.client.HTTPResponse):
         raise DownloadError(f"the server leads to {response.url}; only http and https are allowed")
     return response
@@ -269,8 +265,6 @@ def _on_network(request: urllib.request.Request) -> Iterator[None]:
     """Tell a fault of the connection from one of the disk: both are an ``OSError``."""
     try:
         yield
-    except urllib.error.HTTPError:
-        raise
     except (OSError, http.client.HTTPException) as error:
         reason = getattr(error, "reason", error)
         if isinstance(reason, socket.gaierror):

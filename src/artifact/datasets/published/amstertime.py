@@ -6,7 +6,6 @@ The numbers have gaps, so the position of a pair is its place among all numbers.
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 from artifact.datasets import lookalikes
 from artifact.datasets.published import archives, preparation
@@ -18,7 +17,14 @@ _IMAGE = re.compile(r"(?:^|/)(new|old)/((\d{4})\.(?:png|jpe?g))$", re.IGNORECASE
 
 def plan(sources: Sources) -> Plan:
     """Keep all images of one side, as they are."""
-    path = _innermost(sources)
+    (path,) = sources.paths.values()
+    inner = sources.scratch / "inner.zip"
+    for member in archives.members(path):
+        if member.name.endswith(".zip"):
+            if not inner.exists():
+                member.copy_to(inner)
+            path = inner
+            break
     sizes = {member.name: member.size for member in archives.members(path)}
     lookalikes.refuse("amstertime", path, sizes)
     images = {name: match for name in sizes if (match := _IMAGE.search(name))}
@@ -34,15 +40,3 @@ def plan(sources: Sources) -> Plan:
     kept = {name: (m[2], (index[m[3]],)) for name, m in images.items() if m[1].lower() == sources.traversal}
     gaps = int(sides["new"][-1]) + 1 - len(index)
     return preparation.as_published(path, sizes, kept, numbers_not_used=gaps)
-
-
-def _innermost(sources: Sources) -> Path:
-    """The archive with the images: the file itself, or the one archive in it."""
-    (path,) = sources.paths.values()
-    inner = sources.scratch / "inner.zip"
-    for member in archives.members(path):
-        if member.name.endswith(".zip"):
-            if not inner.exists():
-                member.copy_to(inner)
-            return inner
-    return path

@@ -119,18 +119,18 @@ def _poses(sources: Sources) -> tuple[poses.Poses, str]:
     """The poses of the traversal, and which they are."""
     p, wanted = sources.parameters, sources.traversal
     candidates = {
-        "rtk": (["rtk.zip"], rf"(?:^|/){wanted}/rtk\.csv$"),
-        "ins": ([f"{wanted}_gps.tar"], rf"(?:^|/){wanted}/gps/ins\.csv$"),
+        "rtk": ("rtk.zip", rf"(?:^|/){wanted}/rtk\.csv$"),
+        "ins": (f"{wanted}_gps.tar", rf"(?:^|/){wanted}/gps/ins\.csv$"),
     }
-    asked = ("rtk", "ins") if p.poses == "rtk_or_ins" else (p.poses,)
+    asked = p.poses.split("_or_")
     for kind in asked:
-        endings, pattern = candidates[kind]
-        for path in sources.named(*endings):
+        file, pattern = candidates[kind]
+        for path in sources.named(file):
             for member in archives.members(path):
                 if re.search(pattern, member.name):
                     text = member.read().decode("ascii", "replace")
                     return poses.read(text, f"{path}: {member.name}", _OXFORD, p.fastest), kind
-    files = " or ".join(", ".join(candidates[kind][0]) for kind in asked)
+    files = " or ".join(candidates[kind][0] for kind in asked)
     raise DatasetError(f"{wanted}: no poses in {files}; poses=ins takes those of the car's own receiver")
 
 
