@@ -38,12 +38,8 @@ def stored_path(cache: Path, key: str) -> Path:
 def appearance(traversal: Traversal, cache: Path) -> np.ndarray:
     """Measure :data:`STATISTICS` of every image, ``(n, 4)`` float64, or read them if they are in the cache or shipped.
 
-    Raises
-    ------
-    DatasetError
-        If the images are not on this machine and nothing is stored or shipped.
-    UnreadableImageError
-        If an image cannot be read.
+    Raises ``DatasetError`` if the images are not on this machine and nothing is stored or shipped, and
+    ``UnreadableImageError`` if an image cannot be read.
     """
     key = appearance_key(traversal)
     path = stored_path(cache, key)

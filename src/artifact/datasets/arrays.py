@@ -63,12 +63,8 @@ def read_descriptors(path: Path) -> Descriptors:
 
     ``.npy``: an array ``(n, d)``. ``.npz`` or ``.safetensors``: the array named ``descriptors``, or the only one of two
     axes; ``.npz`` may hold image names in ``names``. ``.h5``: a group for each image with the array
-    ``global_descriptor``, as hloc writes it, in the order of the names.
-
-    Raises
-    ------
-    DatasetError
-        If the file is missing, of another kind, damaged, or its descriptors are not ``(n, d)`` floats.
+    ``global_descriptor``, as hloc writes it, in the order of the names. Raises ``DatasetError`` if the file is missing, of
+    another kind, damaged, or its descriptors are not ``(n, d)`` floats.
     """
     path = path.expanduser()
     if not path.is_file():

@@ -1,9 +1,8 @@
 """A file over HTTP: from the first mirror that has it, resumable at any moment, whole and checked or not at all.
 
-`pooch` gives a file its temporary and its final name and compares its SHA-256. The transfer is done here, because that
-of pooch starts anew after every interruption: what has arrived lies in a partial file, and a journal beside it records
-the address and how the server names this version of the file (``ETag`` or ``Last-Modified``). A later call asks for the
-rest of the same version; if the server has another one by then, the file is fetched anew.
+`pooch` names a file and compares its SHA-256. The transfer is done here, since that of pooch starts anew after every
+interruption: a journal beside the partial file records the address and the version (``ETag`` or ``Last-Modified``), of
+which a later call asks for the rest; if the server has another one by then, the file is fetched anew.
 """
 
 from __future__ import annotations

@@ -13,10 +13,7 @@ from artifact.manifest.layout import IMAGE_SUFFIXES, POSITIONS_FILE, files_below
 def list_images(folder: Path, image_list: Path | None = None) -> list[str]:
     """Return the image names below ``folder``, relative to it: those of a list, one a line, or all in natural order.
 
-    Raises
-    ------
-    DatasetError
-        If the folder or list is missing, names a file that is not there, or holds no image.
+    Raises ``DatasetError`` if the folder or list is missing, names a file that is not there, or holds no image.
     """
     if not folder.is_dir():
         raise DatasetError(f"{folder}: no such folder; it should hold the images of this traversal")

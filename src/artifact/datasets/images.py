@@ -25,11 +25,8 @@ def read_image(path: Path, colour: str = "rgb") -> Image.Image:
     that its camera marked as rotated (EXIF) is turned upright. What is transparent lies on white. 16-bit values are
     divided by 257.
 
-    Raises
-    ------
-    UnreadableImageError
-        If the file is missing, not an image, truncated or otherwise damaged; or if its values have no defined range
-        (32-bit, float, 12 bits in 16), or are a raw colour mosaic.
+    Raises ``UnreadableImageError`` if the file is missing, not an image, truncated or otherwise damaged; or if its values have
+    no defined range (32-bit, float, 12 bits in 16), or are a raw colour mosaic.
     """
     try:
         with Image.open(path) as image:

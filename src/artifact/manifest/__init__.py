@@ -112,11 +112,8 @@ def _made(entry: DatasetEntry, root: Path, methods: dict[str, MethodEntry]) -> D
 def load(path: str | os.PathLike[str] | None = None) -> Manifest:
     """Read and check a manifest, by default the one that :func:`find` returns.
 
-    Raises
-    ------
-    ManifestError
-        If the file is missing, is not YAML, repeats a key, or holds a key, type, value or name that is not
-        allowed. All faults are listed at once.
+    Raises :class:`ManifestError` if the file is missing, is not YAML, repeats a key, or holds a key, type, value or name that
+    is not allowed. All faults are listed at once.
     """
     path = find() if path is None else Path(path)
     if not path.is_file():

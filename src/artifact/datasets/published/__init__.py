@@ -74,12 +74,8 @@ def obtain(
     """Make traversals of a published dataset ready, by default all; yield a line on each step.
 
     What is prepared and unchanged stays, unless ``given`` names parameters that differ from those it was prepared with.
-    Published files that are not here are downloaded where they have an address.
-
-    Raises
-    ------
-    DatasetError
-        After everything that could be done: with all that is missing or wrong, and what to do about each.
+    Published files that are not here are downloaded where they have an address. Raises ``DatasetError`` after everything
+    that could be done, with all that is missing or wrong, and what to do about each.
     """
     entry, given = entry_of(manifest, dataset), given or {}
     if unknown := [name for name in traversals if name not in entry.traversals]:

@@ -59,12 +59,8 @@ class Member:
 def members(path: Path) -> Iterator[Member]:
     """Yield the files of a ``.zip`` or a (compressed) ``.tar`` archive; each can be read until the next one is asked for.
 
-    Hidden files and the folders ``__MACOSX`` that some archives hold are passed over.
-
-    Raises
-    ------
-    DatasetError
-        If the archive is missing, is a web page, is damaged or cut short, or is refused.
+    Hidden files and the folders ``__MACOSX`` that some archives hold are passed over. Raises ``DatasetError`` if the archive
+    is missing, is a web page, is damaged or cut short, or is refused.
     """
     try:
         with path.open("rb") as stream:
