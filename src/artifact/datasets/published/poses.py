@@ -50,13 +50,12 @@ def read(text: str, where: str, region: tuple[tuple[float, float], tuple[float, 
             continue
         try:
             stamp, east, north = (row[column].strip() for column in columns)
-            position = float(east), float(north)
+            rows.append((float(east), float(north)))
         except (ValueError, IndexError):
             raise DatasetError(
                 f"{where}:{line}: found {','.join(row)!r}; easting and northing must be numbers"
             ) from None
         times.append(time_of(stamp, f"{where}:{line}", times))
-        rows.append(position)
     if len(rows) < 2:
         raise DatasetError(f"{where}: {len(rows)} rows of poses; the file is cut short, get it again")
     positions = np.array(rows)
@@ -84,11 +83,8 @@ def _plausible(
     times: list[int], rows: list[tuple[float, float]], region: tuple[tuple[float, float], ...], fastest: float
 ) -> list[int]:
     """Rows that a vehicle may have passed, each reachable from the one before."""
-    inside = [
-        i
-        for i, row in enumerate(rows)
-        if all(low <= value <= high for value, (low, high) in zip(row, region, strict=True))
-    ]
+    (west, east), (south, north) = region
+    inside = [i for i, (x, y) in enumerate(rows) if west <= x <= east and south <= y <= north]
 
     def reachable(a: int, b: int) -> bool:
         return math.dist(rows[a], rows[b]) <= fastest * (times[b] - times[a]) / _MICROSECONDS

@@ -11,17 +11,16 @@ import io
 import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 from tqdm import tqdm
 
 from artifact import store
@@ -41,14 +40,11 @@ Position = tuple[float, ...]
 """x and y in metres, or one index."""
 
 
-class Parameters(BaseModel):
+class Parameters(BaseModel, extra="forbid", frozen=True):
     """Parameters of a recipe; the fields are those that the manifest and ``SET=…`` may name."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
-
-@dataclass(frozen=True)
-class Kept:
+class Kept(NamedTuple):
     """An image of a prepared traversal: file name, what it is called in the published files, position, content.
 
     ``content`` is asked for at once, before the next image is made.
@@ -57,11 +53,10 @@ class Kept:
     name: str
     original: str
     position: Position
-    content: Callable[[], bytes] = field(repr=False)
+    content: Callable[[], bytes]
 
 
-@dataclass(frozen=True)
-class Sources:
+class Sources(NamedTuple):
     """What a recipe works with: the traversal, its published files by name, parameters, and a folder for large files."""
 
     entry: DatasetEntry
@@ -75,8 +70,7 @@ class Sources:
         return [path for name, path in sorted(self.paths.items()) if name.endswith(endings)]
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """The images that a recipe will make: about how many and how many bytes, and what it found, by name.
 
     ``found`` may be added to while the images are made.
@@ -137,7 +131,7 @@ def prepare(folder: Path, label: str, sources: Sources, digests: list[dict[str, 
     }
     work = folder.with_name(f".{folder.name}.{store.key(**inputs)[:12]}.preparing")
     try:
-        sources = replace(sources, scratch=work.with_name(f"{work.name}.scratch"))
+        sources = sources._replace(scratch=work.with_name(f"{work.name}.scratch"))
         for left in folder.parent.glob(f".{folder.name}.*.preparing*"):  # of other files or parameters
             if left not in (work, sources.scratch):
                 shutil.rmtree(left, ignore_errors=True)
