@@ -52,9 +52,7 @@ def read_threshold(text: str) -> Threshold:
     for ending, unit in _UNITS.items():
         if given.endswith(ending):
             with contextlib.suppress(ValueError):
-                value = float(given.removesuffix(ending))
-                if 0 <= value < float("inf"):
-                    return Threshold.model_validate({"value": value, "unit": unit})
+                return Threshold.model_validate({"value": float(given.removesuffix(ending)), "unit": unit})
     raise DatasetError(f"the threshold is {text!r}; allowed: metres as 25m, frames as 2frames, or exact")
 
 
