@@ -71,8 +71,10 @@ def load_traversal(manifest: Manifest, dataset: str, name: str) -> Traversal:
         raise ManifestError(f"{dataset}: no traversal {name!r}; the traversals are {', '.join(entry.traversals)}")
     traversal, recorded = entry.traversals[name], imported.traversal(manifest, dataset, name)
     if traversal.descriptors:
-        here = recorded is None or _positions_table(manifest, dataset, entry, name).exists()
-        return _load_described(manifest, dataset, entry, name) if here else recorded
+        table = manifest.data_root / (entry.root or dataset) / (traversal.positions_file or f"{name}.csv")
+        if recorded is not None and not table.exists():
+            return recorded
+        return _load_described(manifest, dataset, entry, name, table)
     if entry.kind == "city" and recorded is None:
         render(traversal.render or {}, manifest.cache, f"{dataset}/{name}")
     images = _images(manifest, dataset, entry, name)
@@ -95,13 +97,12 @@ def load_traversal(manifest: Manifest, dataset: str, name: str) -> Traversal:
     return Traversal(dataset, name, traversal.condition, tuple(names), positions, digest, **of_images)
 
 
-def _load_described(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Traversal:
-    """Load a traversal that is given by its descriptors."""
+def _load_described(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str, table: Path) -> Traversal:
+    """Load a traversal that is given by its descriptors and a table of positions."""
     traversal, root, label = entry.traversals[name], manifest.data_root / (entry.root or dataset), f"{dataset}/{name}"
-    file = _positions_table(manifest, dataset, entry, name)
-    names = names_in_csv(file)
-    positions, found = positions_from_csv(file, names)
-    _check_unit(label, entry, found, f"in {file} are in {found}")
+    names = names_in_csv(table)
+    positions, found = positions_from_csv(table, names)
+    _check_unit(label, entry, found, f"in {table} are in {found}")
     given: list[dict[str, Given]] = []
     for files in (traversal.descriptors, traversal.second_stage):
         paths = [root / path for path in files.values()]
@@ -111,10 +112,6 @@ def _load_described(manifest: Manifest, dataset: str, entry: DatasetEntry, name:
         given.append(dict(zip(files, map(Given, paths, digests), strict=True)))
     digest = store.key(names=names, given=[{method: one.sha256 for method, one in files.items()} for files in given])
     return Traversal(dataset, name, traversal.condition, tuple(names), positions, digest, None, *given)
-
-
-def _positions_table(manifest: Manifest, dataset: str, entry: DatasetEntry, name: str) -> Path:
-    return manifest.data_root / (entry.root or dataset) / (entry.traversals[name].positions_file or f"{name}.csv")
 
 
 def image_folder(manifest: Manifest, dataset: str, name: str) -> Path:

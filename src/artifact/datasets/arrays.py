@@ -67,10 +67,11 @@ def read_descriptors(path: Path) -> Descriptors:
     path = path.expanduser()
     if not path.is_file():
         raise DatasetError(f"{path}: no such file; it should hold descriptors")
-    if path.suffix.lower() not in FORMATS:
-        raise DatasetError(f"{path}: the ending is {path.suffix!r}; descriptors are read from {', '.join(FORMATS)}")
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise DatasetError(f"{path}: the ending is {path.suffix!r}; descriptors are read from {', '.join(_READERS)}")
     try:
-        found = _READERS[path.suffix.lower()](path)
+        found = reader(path)
     except DatasetError:
         raise
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, SafetensorError) as error:
@@ -132,7 +133,6 @@ _READERS = {
     ".h5": _from_hdf5,
     ".hdf5": _from_hdf5,
 }
-FORMATS = tuple(_READERS)
 
 
 def read_positions(source: Path | None, found: Descriptors, label: str) -> Located:
