@@ -52,9 +52,7 @@ def downloads(manifest: Manifest, dataset: str) -> Path:
     return manifest.data_root / "downloads" / (manifest.dataset(dataset).root or dataset)
 
 
-def needed(
-    manifest: Manifest, dataset: str, traversals: Sequence[str], parameters: Mapping[str, Any]
-) -> list[Original]:
+def needed(manifest: Manifest, dataset: str, traversals: Sequence[str], parameters: dict[str, Any]) -> list[Original]:
     """Return the published files that traversals are prepared from with these parameters, each once."""
     entry, folder = manifest.dataset(dataset), downloads(manifest, dataset)
     found: dict[str, Original] = {}

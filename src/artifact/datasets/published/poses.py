@@ -36,26 +36,23 @@ def read(text: str, where: str, region: tuple[tuple[float, float], tuple[float, 
     Raises ``DatasetError`` with the line if a column is missing, a value is no number, or times are not ascending; and if
     less than half of the rows are plausible.
     """
-    lines = text.splitlines() or [""]
-    header = [name.strip() for name in lines[0].split(",")]
+    first, *others = text.splitlines() or [""]
+    header = [name.strip() for name in first.split(",")]
     try:
         columns = [header.index(name) for name in ("timestamp", "easting", "northing")]
     except ValueError:
-        raise DatasetError(
-            f"{where}:1: needs the columns timestamp, easting and northing; found {lines[0]!r}"
-        ) from None
+        raise DatasetError(f"{where}:1: needs the columns timestamp, easting and northing; found {first!r}") from None
     times, rows = [], []
-    for line, row in enumerate(csv.reader(lines[1:]), start=2):
+    for line, row in enumerate(csv.reader(others), start=2):
         if not row:
             continue
+        here = f"{where}:{line}"
         try:
             stamp, east, north = (row[column].strip() for column in columns)
             rows.append((float(east), float(north)))
         except (ValueError, IndexError):
-            raise DatasetError(
-                f"{where}:{line}: found {','.join(row)!r}; easting and northing must be numbers"
-            ) from None
-        times.append(time_of(stamp, f"{where}:{line}", times))
+            raise DatasetError(f"{here}: found {','.join(row)!r}; easting and northing must be numbers") from None
+        times.append(time_of(stamp, here, times))
     if len(rows) < 2:
         raise DatasetError(f"{where}: {len(rows)} rows of poses; the file is cut short, get it again")
     positions = np.array(rows)

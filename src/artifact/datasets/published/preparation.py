@@ -82,9 +82,7 @@ class Plan(NamedTuple):
     found: dict[str, Any]
 
 
-def as_published(
-    path: Path, sizes: Mapping[str, int], wanted: Mapping[str, tuple[str, Position]], **found: Any
-) -> Plan:
+def as_published(path: Path, sizes: dict[str, int], wanted: dict[str, tuple[str, Position]], **found: Any) -> Plan:
     """Plan to keep images of an archive as they are.
 
     ``sizes`` has the bytes of its files by name, ``wanted`` the new name and the position of each image.

@@ -152,11 +152,9 @@ def _converter(sources: Sources) -> Callable[[bytes, str], bytes]:
     table = None
     if sources.parameters.undistort:
         (path,) = sources.named(_MODEL)
-        values = np.fromfile(path, "<f8")
-        if values.size != 2 * width * height:
-            raise DatasetError(
-                f"{path}: {values.size:,} numbers; {width} × {height} pixels need {2 * width * height:,}"
-            )
+        values, needed = np.fromfile(path, "<f8"), 2 * width * height
+        if values.size != needed:
+            raise DatasetError(f"{path}: {values.size:,} numbers; {width} × {height} pixels need {needed:,}")
         table = values.reshape(2, height, width).astype(np.float32)  # columns, then rows, both from zero
 
     def convert(content: bytes, where: str) -> bytes:

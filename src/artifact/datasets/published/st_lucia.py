@@ -65,15 +65,14 @@ def _positions(text: str, where: str) -> np.ndarray:
     utm = preparation.optional("utm", "utm")
     rows = []
     for line, row in enumerate(text.rstrip().splitlines(), start=1):
+        here = f"{where}:{line}"
         try:
             latitude, longitude = (float(value) for value in row.split(","))
         except ValueError:
-            raise DatasetError(
-                f"{where}:{line}: found {row!r}; every line should be latitude,longitude in degrees"
-            ) from None
+            raise DatasetError(f"{here}: found {row!r}; every line should be latitude,longitude in degrees") from None
         rows.append((-abs(latitude), longitude))
         if not all(low <= value <= high for value, (low, high) in zip(rows[-1], _BRISBANE, strict=True)):
-            raise DatasetError(f"{where}:{line}: {row!r} is not in Brisbane; is it the published file?")
+            raise DatasetError(f"{here}: {row!r} is not in Brisbane; is it the published file?")
     if not rows:
         raise DatasetError(f"{where}: it is empty; get the archive again")
     latitude, longitude = np.array(rows).T
