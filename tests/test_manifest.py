@@ -80,6 +80,13 @@ def test_all_faults_are_listed_at_once(tmp_path):
         ("version: [1\n", "not valid YAML"),
         ("", "found an empty or plain document"),
         ("just words", "found an empty or plain document"),
+        ("version: 1\n{a: 1}: 2\n", ":2: found a list or mapping as a key"),
+        (
+            "version: 2014-13-45\n",
+            ":1: found '2014-13-45' with the tag tag:yaml.org,2002:timestamp; allowed: plain text",
+        ),
+        ("version: &x [*x]\n", "is nested too deep, or an alias in it refers to what it stands in"),
+        (f"version: {'[' * 5000}", "is nested too deep"),
     ],
 )
 def test_documents_that_are_no_manifest(tmp_path, text, message):

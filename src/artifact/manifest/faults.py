@@ -17,9 +17,11 @@ Model = TypeVar("Model", bound=BaseModel)
 
 def read(path: Path, model: type[Model]) -> Model:
     """Read and check a YAML file, or raise :class:`ManifestError` that lists all faults with their lines."""
-    root = _compose(path)
     try:
+        root = _compose(path)
         return model.model_validate(_plain(root, path))
+    except RecursionError:
+        raise ManifestError(f"{path}: is nested too deep, or an alias in it refers to what it stands in") from None
     except ValidationError as error:
         raise ManifestError("\n".join(_explain(error, root, path, model))) from None
 
@@ -45,7 +47,10 @@ def _plain(node: yaml.Node, path: Path) -> Any:
         lines: dict[Any, int] = {}
         result = {}
         for key_node, value_node in node.value:
-            key, line = _plain(key_node, path), key_node.start_mark.line + 1
+            line = key_node.start_mark.line + 1
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise ManifestError(f"{path}:{line}: found a list or mapping as a key; allowed: plain text, numbers")
+            key = _plain(key_node, path)
             if key in lines:
                 raise ManifestError(f"{path}:{line}: the key {key!r} is already on line {lines[key]}")
             lines[key], result[key] = line, _plain(value_node, path)
@@ -54,7 +59,7 @@ def _plain(node: yaml.Node, path: Path) -> Any:
         return [_plain(item, path) for item in node.value]
     try:
         return yaml.SafeLoader("").construct_object(node)
-    except yaml.YAMLError:
+    except (yaml.YAMLError, ValueError):  # ValueError: a date that no calendar has
         found = f"{path}:{node.start_mark.line + 1}: found {node.value!r} with the tag {node.tag}"
         raise ManifestError(f"{found}; allowed: plain text, numbers, true, false, null") from None
 
