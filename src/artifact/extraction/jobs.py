@@ -13,7 +13,7 @@ import itertools
 import platform
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -95,7 +95,8 @@ def batches(images: Sequence[Path], size: int) -> list[Sequence[Path]]:
 def jobs_of(manifest: Manifest, traversal: Traversal, method: str, precision: str = "float32") -> list[ExtractionJob]:
     """Return the jobs for what is missing of a traversal's descriptors and local features or codes.
 
-    There are none where descriptors are given, or shipped and the images are not at hand.
+    Of the parts that the method lacks, they make what all methods of its trunk lack. There are none where descriptors are
+    given, or shipped and the images are not at hand.
 
     Raises
     ------
@@ -105,38 +106,19 @@ def jobs_of(manifest: Manifest, traversal: Traversal, method: str, precision: st
     place = stored(manifest, traversal, method, precision)
     if method in traversal.descriptors or not (traversal.has_images or shipped.path_of(place.key) is None):
         return []
-    descriptors = None if place.is_complete else place.parts
-    if manifest.method(method).trunk is not None:
-        return _jobs_of_trunk(manifest, traversal, method, precision, place.parts.missing() if descriptors else [])
-    second = place.second if place.second is not None and place.second.missing() else None
-    missing = {number for parts in (descriptors, second) if parts is not None for number in parts.missing()}
-    if not missing:
-        return []
-    names, entry, images = (traversal.dataset, traversal.name, method), manifest.method(method), traversal.image_paths()
-    rows = {number: place.parts.rows(number) for number in sorted(missing)}
-    return [
-        ExtractionJob(
-            *names, entry, precision, number, tuple(images[own]), traversal.image_digests[own], descriptors, second
-        )
-        for number, own in rows.items()
-    ]
-
-
-def _jobs_of_trunk(
-    manifest: Manifest, traversal: Traversal, method: str, precision: str, missing: Sequence[int]
-) -> list[ExtractionJob]:
-    """Jobs for parts that a method lacks, which make what all methods of its trunk lack of them."""
     entries = methods.of_trunk(manifest, method)
     places = {name: stored(manifest, traversal, name, precision) for name in entries}
-    parts = {name: None if place.is_complete else place.parts for name, place in places.items()}
+    parts = {name: None if one.is_complete else one.parts for name, one in places.items()}
+    second = place.second if place.second is not None and place.second.missing() else None
+    missing = {number for one in (parts[method], second) if one is not None for number in one.missing()}
     images, (first, *others) = traversal.image_paths() if missing else [], entries
-    rows = {number: places[method].parts.rows(number) for number in missing}
+    rows = {number: place.parts.rows(number) for number in sorted(missing)}
     return [
         ExtractionJob(
             *(traversal.dataset, traversal.name, first, entries[first], precision, number),
             *(tuple(images[own]), traversal.image_digests[own]),
             parts[first],
-            None,
+            second,
             tuple((name, entries[name], parts[name]) for name in others),
         )
         for number, own in rows.items()
@@ -196,7 +178,11 @@ def run(
     with contextlib.closing(stream):
         for job in jobs:
             begun, computed = time.monotonic(), forward.seconds
-            outputs = list(zip(*_counted(itertools.islice(stream, len(job.batches)), update), strict=True))
+            done = []
+            for arrays in itertools.islice(stream, len(job.batches)):
+                done.append(arrays)
+                update(len(arrays[0]))
+            outputs = list(zip(*done, strict=True))
             record = {
                 "method": job.method,
                 "dataset": job.dataset,
@@ -217,14 +203,6 @@ def run(
                     parts.write(job.number, blocks, record | {"method": name})
 
 
-def _counted(
-    stream: Iterable[tuple[np.ndarray, ...]], update: Callable[[int], Any]
-) -> Iterator[tuple[np.ndarray, ...]]:
-    for outputs in stream:
-        yield outputs
-        update(len(outputs[0]))
-
-
 def _require_unchanged(job: ExtractionJob) -> None:
     """Read the images once more before they are described under the key that their digests are part of."""
     if job.digests and tuple(store.digest_of_files(job.images)) != job.digests:
@@ -241,7 +219,6 @@ def describe(
     not finite and of unit length, and at the end if images could not be read: the message names all of them, and from the
     first one on nothing more is described.
     """
-    label = f"{forward.entry.title} · {what}"
     unreadable: list[str] = []
     started: deque[tuple[Sequence[Path], tuple[torch.Tensor, ...]]] = deque()
 
@@ -271,7 +248,8 @@ def describe(
     if unreadable:
         more = f"\n  and {len(unreadable) - _LISTED} more" if len(unreadable) > _LISTED else ""
         listed, n = "\n  ".join(unreadable[:_LISTED]), sum(map(len, batches))
-        raise ExtractionError(f"{label}: {len(unreadable)} of {n} images cannot be read:\n  {listed}{more}", unreadable)
+        fault = f"{forward.entry.title} · {what}: {len(unreadable)} of {n} images cannot be read:\n  {listed}{more}"
+        raise ExtractionError(fault, unreadable)
 
 
 def _check(values: np.ndarray, entry: MethodEntry, images: Sequence[Path], label: str) -> None:
