@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -56,43 +57,38 @@ def _device(name: str, count: int) -> torch.device:
     return device
 
 
+@dataclass
 class Forward:
     """Descriptors of batches by one model on one device.
 
-    The model, already on the device, turns images into descriptors, or into descriptors and another tensor with one row for
-    each image. In the precision ``"float32"`` products too are computed in float32, never in TF32; ``"bfloat16"`` and
+    The ``model``, already on the device, turns images into descriptors, or into descriptors and another tensor with one row for
+    each image. In the ``precision`` ``"float32"`` products too are computed in float32, never in TF32; ``"bfloat16"`` and
     ``"float16"`` are mixed precision by :class:`torch.autocast`. Descriptors are float32 always.
 
     Attributes
     ----------
-    described
-        The methods whose descriptors the first outputs are: one, or several of one trunk.
+    entry
+        The method, or the first of several of one trunk.
+    others
+        The further methods of the trunk, whose descriptors follow those of the first.
     at_once
         Images that the model takes at once since memory ran out; ``None`` as long as it has not.
     seconds
         Time spent in the model, as far as whoever uses it adds it up.
     """
 
-    def __init__(
-        self,
-        model: Model,
-        entry: MethodEntry,
-        device: torch.device,
-        precision: str = "float32",
-        described: Sequence[MethodEntry] | None = None,
-    ) -> None:
-        self._model, self.entry, self.device, self._precision = model, entry, device, precision
-        self.described = [entry] if described is None else described
-        self.at_once: int | None = None
-        self.seconds = 0.0
+    model: Model
+    entry: MethodEntry
+    device: torch.device
+    precision: str = "float32"
+    others: Sequence[MethodEntry] = ()
+    at_once: int | None = None
+    seconds: float = 0.0
 
     @classmethod
     def of(cls, model: nn.Module, entry: MethodEntry, device: torch.device, precision: str, label: str) -> Forward:
         """Bring a method's model to a device, with the second output that its manifest entry asks for."""
-        layout = local_features.layout_of(entry)
-        model = model.to(device)
-        outputs = model if layout is None else local_features.both_outputs(model, layout, label)
-        return cls(outputs, entry, device, precision)
+        return cls(local_features.outputs_of(model.to(device), entry, label), entry, device, precision)
 
     def __call__(self, images: Prepared) -> tuple[torch.Tensor, ...]:
         """Describe one batch: ``(b, d)`` float32, and the second output if there is one, perhaps still being computed.
@@ -127,15 +123,15 @@ class Forward:
         batch = torch.from_numpy(images)
         if self.device.type == "cuda":
             batch = batch.pin_memory()
-        with torch.inference_mode(), numerics(self.device, self._precision):
-            outputs = self._model(batch.to(self.device, non_blocking=True))
+        with torch.inference_mode(), numerics(self.device, self.precision):
+            outputs = self.model(batch.to(self.device, non_blocking=True))
             outputs = outputs if isinstance(outputs, tuple) else (outputs,)
             return tuple(self._float32(output) if output.is_floating_point() else output for output in outputs)
 
     def _float32(self, output: torch.Tensor) -> torch.Tensor:
         """Return an output as float32; what was scaled to unit length in few digits has unit length again."""
         output = output.float()
-        if self._precision == "float32":
+        if self.precision == "float32":
             return output
         length = torch.linalg.vector_norm(output, dim=-1, keepdim=True)
         return torch.where((length - 1).abs() < _NEARLY_UNIT, output / length, output)

@@ -134,7 +134,7 @@ def forward_of(job: ExtractionJob, device: str | torch.device | None = None) -> 
     if job.others:
         entries = {job.method: job.entry} | {name: entry for name, entry, _ in job.others}
         model = methods.shared(entries).to(where)
-        return Forward(model, job.entry, where, job.precision, list(entries.values()))
+        return Forward(model, job.entry, where, job.precision, [entry for _, entry, _ in job.others])
     return Forward.of(methods.model_of(job.method, job.entry), job.entry, where, job.precision, job.method)
 
 
@@ -227,7 +227,7 @@ def describe(
         begun = time.perf_counter()
         arrays = tuple(output.cpu().numpy() for output in outputs)
         forward.seconds += time.perf_counter() - begun
-        for values, entry in zip(arrays, forward.described, strict=False):  # a second output may follow
+        for values, entry in zip(arrays, [forward.entry, *forward.others], strict=False):  # a second output may follow
             _check(values, entry, images, f"{entry.title} · {what}")
         return arrays
 

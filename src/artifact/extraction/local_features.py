@@ -51,16 +51,17 @@ def layout_of(entry: MethodEntry) -> Layout | None:
     return None
 
 
-def both_outputs(model: torch.nn.Module, layout: Layout, label: str) -> Callable[[torch.Tensor], Any]:
-    """Return the model's method that gives descriptors and second output of images, or raise ``ManifestError``.
+def outputs_of(model: torch.nn.Module, entry: MethodEntry, label: str) -> Callable[[torch.Tensor], Any]:
+    """Return what gives the descriptors of images, and the second output that the entry asks for.
 
-    It is ``global_and_local(images)`` for local features, and ``descriptors_and_codes(images)`` for hash codes, which
-    are +1 and -1.
+    That is the model itself, or its method ``global_and_local(images)`` for local features or
+    ``descriptors_and_codes(images)`` for hash codes, which are +1 and -1. Raises ``ManifestError`` if it has none.
     """
-    name = "descriptors_and_codes" if layout.bits else "global_and_local"
+    if entry.local_features is None and entry.code_bits is None:
+        return model
+    key, name = ("code_bits", "descriptors_and_codes") if entry.code_bits else ("local_features", "global_and_local")
     both = getattr(model, name, None)
     if both is None:
-        key = "code_bits" if layout.bits else "local_features"
         raise ManifestError(f"{label}: the manifest entry has the key {key!r}, but the model has no {name}(images)")
     return both
 
