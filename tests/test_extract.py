@@ -75,12 +75,12 @@ def test_a_stored_result_is_used_only_while_its_key_is_equal(project, monkeypatc
     changed["methods"]["hog"]["preprocessing"]["size"] = [48, 64]
     changed["methods"]["hog"]["dimension"] = 216
     other = manifest.load(write_manifest(project, changed))
-    assert extract.descriptor_key(traversal, "hog", other.method("hog")) != first.key
+    assert stored.descriptor_key(traversal, "hog", other.method("hog")) != first.key
     (project / "data" / "street" / "day" / "frame3.png").write_bytes(
         (project / "data" / "street" / "day" / "frame4.png").read_bytes()
     )
     assert (
-        extract.descriptor_key(datasets.load_traversal(loaded, "street", "day"), "hog", loaded.method("hog"))
+        stored.descriptor_key(datasets.load_traversal(loaded, "street", "day"), "hog", loaded.method("hog"))
         != first.key
     )
 
@@ -98,8 +98,8 @@ def test_all_broken_images_are_named_before_anything_is_complete(project, worker
     assert "3 of 12 images cannot be read" in text
     for name in ("frame1.png", "frame7.png", "frame11.png"):
         assert str(folder / name) in text
-    path = extract.stored_path(
-        loaded, "thumbnail", extract.descriptor_key(traversal, "thumbnail", loaded.method("thumbnail"))
+    path = stored.stored_path(
+        loaded, "thumbnail", stored.descriptor_key(traversal, "thumbnail", loaded.method("thumbnail"))
     )
     assert not path.exists()
     assert not path.with_suffix(".json").exists()
@@ -154,7 +154,7 @@ def test_resuming_does_only_the_rest(project, monkeypatch, small_parts):
 def test_killed_between_the_last_two_steps_or_robbed_of_a_file_the_result_is_completed(project, ending):
     loaded, traversal = load(project)
     first = extract.descriptors(loaded, traversal, "hog", workers=0)
-    path = extract.stored_path(loaded, "hog", first.key)
+    path = stored.stored_path(loaded, "hog", first.key)
     path.with_suffix(ending).unlink()
     assert extract.descriptors(loaded, traversal, "hog", workers=0).sha256 == first.sha256
 
@@ -184,7 +184,7 @@ DAMAGES = {
 def test_damaged_descriptors_are_never_used_but_made_again(project, damage, capsys):
     loaded, traversal = load(project)
     found = extract.descriptors(loaded, traversal, "hog", workers=0)
-    path, values = extract.stored_path(loaded, "hog", found.key), found.values.copy()
+    path, values = stored.stored_path(loaded, "hog", found.key), found.values.copy()
     damage(path)
     again = extract.descriptors(loaded, traversal, "hog", workers=0)
     np.testing.assert_array_equal(again.values, values)
@@ -296,7 +296,7 @@ def test_a_batch_dependent_method_has_the_batch_size_in_its_key(project):
     keys = []
     for size, dependent in ((5, True), (4, True), (5, False), (4, False)):
         loaded, traversal = with_method(project, "jointly", batch_dependent=dependent, batch_size=size)
-        keys.append(extract.descriptor_key(traversal, "own", loaded.method("own")))
+        keys.append(stored.descriptor_key(traversal, "own", loaded.method("own")))
     assert keys[2] == keys[3]
     assert len(set(keys)) == 3
 
@@ -529,8 +529,8 @@ def test_mixed_precision_is_another_result(project):
     exact = extract.descriptors(loaded, traversal, "own", workers=0)
     mixed = extract.descriptors(loaded, traversal, "own", workers=0, precision="bfloat16")
     assert (exact.sidecar["precision"], mixed.sidecar["precision"]) == ("float32", "bfloat16")
-    assert len({extract.descriptor_key(traversal, "own", entry, precision) for precision in stored.PRECISIONS}) == 3
-    assert exact.key == extract.descriptor_key(traversal, "own", entry)
+    assert len({stored.descriptor_key(traversal, "own", entry, precision) for precision in stored.PRECISIONS}) == 3
+    assert exact.key == stored.descriptor_key(traversal, "own", entry)
     assert mixed.values.dtype == np.float32
     np.testing.assert_allclose(np.linalg.norm(mixed.values, axis=1), 1, atol=1e-5)
     assert 1e-5 < np.abs(exact.values - mixed.values).max() < 0.05

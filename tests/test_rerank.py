@@ -21,7 +21,7 @@ from artifact.book.runner import Task
 from artifact.commands import jobs, verify
 from artifact.datasets.images import read_image
 from artifact.extraction import extract, parts
-from artifact.extraction.stored import second_stage_key
+from artifact.extraction.stored import descriptor_key, second_stage_key
 from artifact.manifest.entries import ManifestError
 from artifact.methods.preprocessing import prepare
 from artifact.metrics import two_stage, two_stage_sweeps
@@ -633,7 +633,7 @@ def test_another_dtype_is_another_result_but_the_descriptors_are_shared(project)
     found, traversal = loaded(project)
     keys = {second_stage_key(traversal, "local", found.method(method)) for method in ("local", "half")}
     assert len(keys) == 2
-    assert len({extract.descriptor_key(traversal, "x", found.method(method)) for method in ("local", "half")}) == 1
+    assert len({descriptor_key(traversal, "x", found.method(method)) for method in ("local", "half")}) == 1
 
 
 @pytest.mark.parametrize("stop", [1, 2, 3])

@@ -25,7 +25,7 @@ from artifact.datasets.traversal import CHANGED, DatasetError, Given, Traversal
 from artifact.extraction.disk import free_bytes, in_words
 from artifact.extraction.local_features import SecondOutput
 from artifact.extraction.parts import assemble
-from artifact.extraction.stored import REVISION, Stored, descriptor_key, stored, stored_path
+from artifact.extraction.stored import REVISION, Stored, stored
 from artifact.manifest import CACHE_VARIABLE, Manifest
 from artifact.manifest.entries import ManifestError, MethodEntry
 
@@ -125,8 +125,7 @@ def descriptors(
             record = store.find(place.path, place.key)
             if record is None:
                 store.record_path(place.path).unlink(missing_ok=True)  # of a file that is gone, or of another one
-                options = {"device": device, "precision": precision, "workers": workers, "progress": progress}
-                make = functools.partial(_make, manifest, traversal, method, **options)
+                make = functools.partial(_make, manifest, traversal, method, device, precision, workers, progress)
                 make()
                 record = _assemble(place, traversal, method, manifest.method(method), precision, make)
     shutil.rmtree(place.parts_folder, ignore_errors=True)
@@ -139,9 +138,7 @@ def second_stage(
     method: str,
     *,
     device: str | torch.device | None = None,
-    precision: str = "float32",
     workers: int | None = None,
-    progress: bool = False,
 ) -> SecondOutput | np.ndarray:
     """Return what a two-stage method stores besides descriptors: local features, or packed hash codes.
 
@@ -155,14 +152,13 @@ def second_stage(
     """
     if method in traversal.second_stage:
         return _rows_of(manifest, traversal, method, traversal.second_stage[method])
-    second = stored(manifest, traversal, method, precision).second
+    second = stored(manifest, traversal, method).second
     if second is None:
         raise ManifestError(f"{manifest.path}: methods.{method} has neither local_features nor code_bits")
-    options = {"device": device, "precision": precision, "workers": workers, "progress": progress}
-    make = functools.partial(_make, manifest, traversal, method, **options)
+    make = functools.partial(_make, manifest, traversal, method, device, "float32", workers, progress=False)
     if second.missing():
         traversal.image_paths()
-        descriptors(manifest, traversal, method, **options)
+        descriptors(manifest, traversal, method, device=device, workers=workers)
         make()
     second.tidy()
     return SecondOutput(second, make)
@@ -203,10 +199,8 @@ def is_ready(manifest: Manifest, traversal: Traversal, method: str) -> bool:
     """Whether descriptors are given, stored or shipped, so that nothing would be extracted."""
     if method in traversal.descriptors:
         return True
-    key = descriptor_key(traversal, method, manifest.method(method))
-    path = stored_path(manifest, method, key)
-    complete = path.exists() and path.with_suffix(".json").exists()
-    return complete or (not traversal.has_images and shipped.path_of(key) is not None)
+    place = stored(manifest, traversal, method)
+    return place.is_complete or (not traversal.has_images and shipped.path_of(place.key) is not None)
 
 
 def is_at_hand(manifest: Manifest, traversal: Traversal, method: str) -> bool:
@@ -266,7 +260,6 @@ def _make(
     manifest: Manifest,
     traversal: Traversal,
     method: str,
-    *,
     device: str | torch.device | None,
     precision: str,
     workers: int | None,
