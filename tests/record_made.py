@@ -34,7 +34,7 @@ def measured(entry, method, two_stage, strength):
     else:
         images = []
         for traversal, (descriptors, positions, along) in sides.items():
-            second = getattr(made, two_stage)(entry, traversal, method, along, strength)
+            second = made.descriptors(entry, traversal, method, along, strength, two_stage)
             pair = (second, descriptors) if two_stage == "codes" else (descriptors, second)
             images.append(Images.of(*pair, positions))
         scores = matching.cosines if two_stage == "codes" else matching.LocalMatcher(device="cpu")
@@ -65,7 +65,7 @@ def main():
     rows = []
     for row in table.to_dict("records"):
         entry, method = loaded.dataset(row["dataset"]), loaded.method(row["method"])
-        two_stage = None if method.rerank is None else "codes" if method.code_bits else "local_features"
+        two_stage = None if method.rerank is None else "codes" if method.code_bits else "local"
         wanted = row["recall_percent"], row["dar_percent"]
         of = functools.partial(measured, entry, row["method"], two_stage)
         strength = chosen(of, *wanted)

@@ -9,6 +9,7 @@ follow say nothing about any method; they show that every page can be made and t
 from __future__ import annotations
 
 import csv
+import math
 import zlib
 from dataclasses import dataclass
 from importlib.resources import files
@@ -22,9 +23,7 @@ from artifact.manifest import Manifest
 from artifact.manifest.entries import DatasetEntry
 
 REVISION = 1  # raise when any made value changes: it is part of the folder's name
-DIMENSION = 192
-LOCAL_SHAPE = (4, 4, 64)
-CODE_BITS = 256
+_SHAPES = {"global": (192,), "local": (4, 4, 64), "codes": (256,)}
 _IMAGES = {"pairs": 200, "frames": 200, "metres": 200}
 _GALLERY = 4  # database images off the route for each on it, where the paper's database is much the larger
 _SPACING = 8.0  # metres between images of a route
@@ -80,23 +79,17 @@ def _write_traversal(manifest: Manifest, name: str, entry: DatasetEntry, travers
         with store.replacing(table) as temporary:
             temporary.write_text(_positions_csv(positions, entry.threshold.unit), encoding="utf-8")
         store.seal(table, {"dataset": name})
-    recorded = strengths()
-    for method, file in described.descriptors.items():
-        strength = recorded[entry.reported_as or name, method]
-        if store.find(folder / file) is None:
-            _save(folder / file, descriptors(entry, traversal, method, along, strength))
+    wanted = [(method, file, "global") for method, file in described.descriptors.items()]
     for method, file in described.second_stage.items():
-        if store.find(folder / file) is None:
+        wanted.append((method, file, "codes" if manifest.method(method).local_features is None else "local"))
+    recorded = strengths()
+    for method, file, what in wanted:
+        path = folder / file
+        if store.find(path) is None:
             strength = recorded[entry.reported_as or name, method]
-            local = manifest.method(method).local_features is not None
-            second = local_features if local else codes
-            _save(folder / file, second(entry, traversal, method, along, strength))
-
-
-def _save(path: Path, values: np.ndarray) -> None:
-    with store.replacing(path) as temporary, temporary.open("wb") as stream:
-        np.save(stream, values)
-    store.seal(path, {"dataset": path.parent.name})
+            with store.replacing(path) as temporary, temporary.open("wb") as stream:
+                np.save(stream, descriptors(entry, traversal, method, along, strength, what))
+            store.seal(path, {"dataset": path.parent.name})
 
 
 def _positions_csv(positions: np.ndarray, unit: str) -> str:
@@ -134,30 +127,15 @@ def route(entry: DatasetEntry, traversal: str, images: int | None = None) -> tup
     return metres / entry.threshold.value, positions
 
 
-def descriptors(entry: DatasetEntry, traversal: str, method: str, along: np.ndarray, strength: Strength) -> np.ndarray:
-    """Return ``(n, DIMENSION)`` float32 unit descriptors."""
-    return _unit(_features(entry, traversal, method, along, strength, DIMENSION, "global"))
-
-
-def local_features(
-    entry: DatasetEntry, traversal: str, method: str, along: np.ndarray, strength: Strength
+def descriptors(
+    entry: DatasetEntry, traversal: str, method: str, along: np.ndarray, strength: Strength, what: str = "global"
 ) -> np.ndarray:
-    """Return ``(n, rows, columns, d)`` float32 local features of unit length."""
-    made = _features(entry, traversal, method, along, strength, int(np.prod(LOCAL_SHAPE)), "local")
-    return _unit(made.reshape(len(along), *LOCAL_SHAPE))
+    """Return made descriptors of places along a route; those of all traversals share their place codes.
 
-
-def codes(entry: DatasetEntry, traversal: str, method: str, along: np.ndarray, strength: Strength) -> np.ndarray:
-    """Return ``(n, CODE_BITS / 8)`` packed hash codes."""
-    made = _features(entry, traversal, method, along, strength, CODE_BITS, "codes")
-    return np.packbits(made > 0, axis=1)
-
-
-def _features(
-    entry: DatasetEntry, traversal: str, method: str, along: np.ndarray, strength: Strength, d: int, what: str
-) -> np.ndarray:
-    """Sum place code, condition and noise, ``(n, d)``; places share their code between all traversals."""
-    shared = _generator(entry, method, what)
+    ``what`` is ``"global"`` for ``(n, 192)`` or ``"local"`` for ``(n, 4, 4, 64)``, both float32 of unit length along the last
+    axis, or ``"codes"`` for ``(n, 32)`` uint8, packed bits.
+    """
+    d, shared = math.prod(_SHAPES[what]), _generator(entry, method, what)
     seeds = shared.integers(2**31, size=8)
     place = _field(along, d, int(seeds[0]))
     kind = _kind(entry, traversal)
@@ -167,7 +145,8 @@ def _features(
     own = _generator(entry, traversal, method, what)
     amount = strength.condition * own.lognormal(0, 0.25, (len(along), 1))
     noise = strength.noise * own.normal(0, d**-0.5, (len(along), d))
-    return place + amount * (0.8 * constant + 0.6 * changing) + noise
+    values = place + amount * (0.8 * constant + 0.6 * changing) + noise
+    return np.packbits(values > 0, axis=1) if what == "codes" else _unit(values.reshape(-1, *_SHAPES[what]))
 
 
 def _kind(entry: DatasetEntry, traversal: str) -> tuple[float, ...]:
