@@ -7,6 +7,7 @@ and :func:`model_of` the model with its released weights.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.util
 from collections.abc import Callable, Iterable, Mapping
@@ -179,9 +180,7 @@ def _empty(name: str, entry: MethodEntry) -> nn.Module:
     """Return a model to be filled: without memory for its weights, where that can be had."""
     import torch
 
-    if entry.builder is not None:
-        return _untrained(name, entry)
-    with torch.device("meta"):
+    with torch.device("meta") if entry.builder is None else contextlib.nullcontext():
         return _untrained(name, entry)
 
 

@@ -39,35 +39,30 @@ class _QueryBlock(nn.Module):
         return x, self.norm_out(answers)
 
 
-class _QueryAggregator(nn.Module):
-    def __init__(self) -> None:
-        super().__init__()
-        self.proj_c = nn.Conv2d(768, _WIDTH, 3, padding=1)
-        self.norm_input = nn.LayerNorm(_WIDTH)
-        self.boqs = nn.ModuleList(_QueryBlock() for _ in range(_BLOCKS))
-        self.fc = nn.Linear(_BLOCKS * _QUERIES, _ROWS)
-
-    def forward(self, features: torch.Tensor) -> torch.Tensor:
-        """Map features (b, 768, rows, columns) to unit vectors (b, 12288)."""
-        x = self.norm_input(self.proj_c(features).flatten(2).transpose(1, 2))
-        answers = []
-        for block in self.boqs:
-            x, answer = block(x)
-            answers.append(answer)
-        rows = self.fc(torch.cat(answers, dim=1).transpose(1, 2))
-        return functional.normalize(rows.flatten(1), dim=1)
-
-
 class BoQ(nn.Module):
     """BoQ with DINOv2 ViT-B/14 (without its last normalisation) and two blocks of 64 queries: 12288 dimensions."""
 
     def __init__(self) -> None:
         super().__init__()
         self.backbone = nn.ModuleDict({"dino": vit_base()})
-        self.aggregator = _QueryAggregator()
+        self.aggregator = nn.ModuleDict(
+            {
+                "proj_c": nn.Conv2d(768, _WIDTH, 3, padding=1),
+                "norm_input": nn.LayerNorm(_WIDTH),
+                "boqs": nn.ModuleList(_QueryBlock() for _ in range(_BLOCKS)),
+                "fc": nn.Linear(_BLOCKS * _QUERIES, _ROWS),
+            }
+        )
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Describe images (b, 3, h, w), h and w multiples of 14: unit vectors (b, 12288), float32."""
         height, width = check_images(images, self, multiple=PATCH)
         tokens = self.backbone["dino"].encode(images)
-        return self.aggregator(feature_map(tokens, height, width))
+        features = self.aggregator["proj_c"](feature_map(tokens, height, width))
+        x = self.aggregator["norm_input"](features.flatten(2).transpose(1, 2))
+        answers = []
+        for block in self.aggregator["boqs"]:
+            x, answer = block(x)
+            answers.append(answer)
+        rows = self.aggregator["fc"](torch.cat(answers, dim=1).transpose(1, 2))
+        return functional.normalize(rows.flatten(1), dim=1)

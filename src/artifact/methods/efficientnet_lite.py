@@ -100,8 +100,6 @@ class EfficientNetLite0(nn.Module):
             for index in range(repeats):
                 self._blocks.append(_InvertedResidual(channels, out, kernel, stride if index == 0 else 1, expansion))
                 channels = out
-            if out == _MIDDLE:
-                self._middle = len(self._blocks)
         self._conv_head = nn.Conv2d(channels, _HEAD, 1, bias=False)
         self._bn1 = _normalisation(_HEAD)
 
@@ -110,9 +108,9 @@ class EfficientNetLite0(nn.Module):
         # Channels last is about 1.5 times as fast on CPUs.
         images = images.contiguous(memory_format=torch.channels_last)
         x = middle = functional.relu6(self._bn0(self._conv_stem(images)), inplace=True)
-        for number, block in enumerate(self._blocks, start=1):
+        for block in self._blocks:
             x = block(x)
-            if number == self._middle:
+            if x.shape[1] == _MIDDLE:
                 middle = x
         return Maps(middle, functional.relu6(self._bn1(self._conv_head(x)), inplace=True))
 

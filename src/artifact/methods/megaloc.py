@@ -27,28 +27,19 @@ def resize_to_patches(images: torch.Tensor) -> torch.Tensor:
     return functional.interpolate(images, size=size, mode="bilinear", align_corners=False, antialias=True)
 
 
-class _ProjectedAggregator(nn.Module):
-    def __init__(self) -> None:
-        super().__init__()
-        self.agg = OptimalTransportAggregator(256)
-        self.linear = nn.Linear(self.agg.dimension, _DIMENSION)
-
-    def forward(self, features: torch.Tensor, token: torch.Tensor) -> torch.Tensor:
-        return self.linear(self.agg(features, token))
-
-
 class MegaLoc(nn.Module):
     """MegaLoc with DINOv2 ViT-B/14, 64 clusters of 256 and a token of 256, projected to 8448 dimensions."""
 
     def __init__(self) -> None:
         super().__init__()
         self.backbone = vit_base(mask_token=False)
-        self.aggregator = _ProjectedAggregator()
+        aggregation = OptimalTransportAggregator(256)
+        self.aggregator = nn.ModuleDict({"agg": aggregation, "linear": nn.Linear(aggregation.dimension, _DIMENSION)})
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Describe images (b, 3, h, w) of more than 64 patches (after resizing): unit vectors (b, 8448), float32."""
         check_images(images, self, more_patches_than=CLUSTERS)
         images = resize_to_patches(images)
         tokens = self.backbone(images)
-        features = feature_map(tokens, *images.shape[-2:])
-        return functional.normalize(self.aggregator(features, tokens[:, 0]), dim=1)
+        aggregated = self.aggregator["agg"](feature_map(tokens, *images.shape[-2:]), tokens[:, 0])
+        return functional.normalize(self.aggregator["linear"](aggregated), dim=1)

@@ -30,29 +30,24 @@ class _FeatureMixer(nn.Module):
         return x + self.mix(x)
 
 
-class _MixAggregator(nn.Module):
-    def __init__(self) -> None:
-        super().__init__()
-        self.mix = nn.Sequential(*(_FeatureMixer() for _ in range(4)))
-        self.channel_proj = nn.Linear(_CHANNELS, _CHANNELS)
-        self.row_proj = nn.Linear(_POSITIONS, _ROWS)
-
-    def forward(self, features: torch.Tensor) -> torch.Tensor:
-        """Map features (b, 1024, 20, 20) to unit vectors (b, 4096)."""
-        x = self.mix(features.flatten(2))
-        x = self.channel_proj(x.transpose(1, 2)).transpose(1, 2)
-        return functional.normalize(self.row_proj(x).flatten(1), dim=1)
-
-
 class MixVPR(nn.Module):
     """MixVPR with ResNet-50, 1024 channels and 4 rows: 4096 dimensions."""
 
     def __init__(self) -> None:
         super().__init__()
         self.backbone = nn.ModuleDict({"model": nn.Sequential(resnet_stages(RESNET50[:3]))})
-        self.aggregator = _MixAggregator()
+        self.aggregator = nn.ModuleDict(
+            {
+                "mix": nn.Sequential(*(_FeatureMixer() for _ in range(4))),
+                "channel_proj": nn.Linear(_CHANNELS, _CHANNELS),
+                "row_proj": nn.Linear(_POSITIONS, _ROWS),
+            }
+        )
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Describe images (b, 3, 320, 320): unit vectors (b, 4096), float32."""
         check_images(images, self, exact=_SIDE)
-        return self.aggregator(self.backbone["model"](images))
+        features = self.backbone["model"](images)  # (b, 1024, 20, 20)
+        x = self.aggregator["mix"](features.flatten(2))
+        x = self.aggregator["channel_proj"](x.transpose(1, 2)).transpose(1, 2)
+        return functional.normalize(self.aggregator["row_proj"](x).flatten(1), dim=1)

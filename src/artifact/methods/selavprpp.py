@@ -65,18 +65,17 @@ class SelaVPRPlusPlus(nn.Module):
         descriptors, values = self.descriptors_and_hash_values(images)
         return descriptors, torch.where(values >= 0, 1, -1).to(torch.int8)
 
-    def descriptors_and_hash_values(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def descriptors_and_hash_values(self, images: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return the descriptors (b, 4096) and the unit vectors (b, 512) whose signs are the hash codes."""
-        descriptors, values = self._heads(images, hashing=True)
-        return descriptors, values
+        return self._heads(images, hashing=True)
 
-    def _heads(self, images: torch.Tensor, *, hashing: bool = False) -> list[torch.Tensor]:
+    def _heads(self, images: torch.Tensor, *, hashing: bool = False) -> tuple[torch.Tensor, ...]:
         side = check_images(images, self, multiple=PATCH, square=True)[0]
         heads = [(self.backbone.adapters, self.linear1, self.aggregation, self.linear2)]
         if hashing:
             heads += [(self.backbone.adapters_hashing, self.linear3, self.aggregation_hashing, self.linear4)]
         branches = self.backbone.branches(images, [adapters for adapters, *_ in heads])
-        return [
+        return tuple(
             functional.normalize(last(pool(feature_map(first(tokens), side, side))), dim=1)
             for tokens, (_, first, pool, last) in zip(branches, heads, strict=True)
-        ]
+        )

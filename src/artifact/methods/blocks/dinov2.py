@@ -151,16 +151,12 @@ class VisionTransformer(nn.Module):
         self.blocks = nn.ModuleList(block(width, heads, feed_forward) for _ in range(depth))
         self.norm = nn.LayerNorm(width, eps=_EPSILON)
 
-    def embed(self, images: torch.Tensor) -> torch.Tensor:
-        """Map images (b, 3, h, w) to the first block's tokens (b, 1 + h / 14 · w / 14, width)."""
+    def encode(self, images: torch.Tensor, end: int | None = None) -> torch.Tensor:
+        """Map images to the tokens (b, 1 + h / 14 · w / 14, width) behind the blocks up to `end`, not normalised."""
         rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
         patches = self.patch_embed["proj"](images).flatten(2).transpose(1, 2)
         tokens = torch.cat((self.cls_token.expand(len(patches), -1, -1), patches), dim=1)
-        return tokens + interpolate_positions(self.pos_embed, rows, columns)
-
-    def encode(self, images: torch.Tensor, end: int | None = None) -> torch.Tensor:
-        """Map images to the tokens (b, 1 + h / 14 · w / 14, width) behind the blocks up to `end`, not normalised."""
-        tokens = self.embed(images)
+        tokens = tokens + interpolate_positions(self.pos_embed, rows, columns)
         for block in self.blocks[:end]:
             tokens = block(tokens)
         return tokens
