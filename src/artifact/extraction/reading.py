@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import types
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
@@ -82,17 +82,17 @@ def read_batches(
 
 def _start(batches: Sequence[Sequence[Path]], preprocessing: Preprocessing) -> tuple[BaseProcess, Connection]:
     """Start a process that prepares some batches, each while the one before is on its way."""
-    context = process_context()
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_serve, args=(theirs, batches, preprocessing), daemon=True)
-    with main_unseen():
-        process.start()
-    theirs.close()  # so that its death is the end of the pipe
-    return process, ours
+    return start_process(_serve, batches, preprocessing, daemon=True)
 
 
 def _serve(connection: Connection, batches: Sequence[Sequence[Path]], preprocessing: Preprocessing) -> None:
-    _start_worker()
+    import torch
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the model's process hears it too, and ends this one
+    torch.set_num_threads(1)
+    # The model's threads wait for each other at every layer: a reader that delays one of them delays all.
+    with contextlib.suppress(OSError, AttributeError):
+        os.nice(_NICENESS)
     with contextlib.suppress(BrokenPipeError):  # nobody wants more
         for paths in batches:
             try:
@@ -151,19 +151,19 @@ def main_unseen() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
-def end_with_parent() -> None:
-    """End this process when the one that started it dies, however it dies; nobody else would end it then."""
+def start_process(function: Callable[..., None], *arguments: Any, daemon: bool) -> tuple[BaseProcess, Connection]:
+    """Start a process that ends with this one; return it and what its function sends, by the first of its arguments."""
+    context = process_context()
+    ours, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=_run, args=(function, theirs, *arguments), daemon=daemon)
+    with main_unseen():
+        process.start()
+    theirs.close()  # so that its death is the end of the pipe
+    return process, ours
+
+
+def _run(function: Callable[..., None], *arguments: Any) -> None:
     parent = multiprocessing.parent_process()
-    if parent is not None:
+    if parent is not None:  # it may be killed: nobody else would end this process then
         threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
-
-
-def _start_worker() -> None:
-    import torch
-
-    end_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the model's process hears it too, and ends this one
-    torch.set_num_threads(1)
-    # The model's threads wait for each other at every layer: a reader that delays one of them delays all.
-    with contextlib.suppress(OSError, AttributeError):
-        os.nice(_NICENESS)
+    function(*arguments)

@@ -11,7 +11,7 @@ import platform
 import resource
 import sys
 import tempfile
-import time
+import timeit
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -61,12 +61,7 @@ class Timing:
 
 def best_of(function: Callable[[], object], repeats: int = 3) -> float:
     """Return the shortest of several wall times in seconds."""
-    times = []
-    for _ in range(repeats):
-        begun = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - begun)
-    return min(times)
+    return min(timeit.repeat(function, number=1, repeat=repeats))
 
 
 def peak_memory(device: torch.device | None = None) -> float:
@@ -146,12 +141,7 @@ def in_own_process(function: Callable[..., Any], *arguments: Any, limit: float =
     """
     import torch
 
-    context = reading.process_context()
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_run, args=(sender, torch.get_num_threads(), function, arguments))
-    with reading.main_unseen():
-        process.start()
-    sender.close()
+    process, receiver = reading.start_process(_run, torch.get_num_threads(), function, arguments, daemon=False)
     try:
         if not receiver.poll(limit):
             raise TimeoutError(f"nothing within {limit:.0f} s")
@@ -170,7 +160,6 @@ def in_own_process(function: Callable[..., Any], *arguments: Any, limit: float =
 def _run(sender: Connection, threads: int, function: Callable[..., Any], arguments: Sequence[Any]) -> None:
     import torch
 
-    reading.end_with_parent()
     torch.set_num_threads(threads)
     try:
         sender.send(("", function(*arguments)))
@@ -190,11 +179,15 @@ def time_method(
 
     The size is that before the method's own preprocessing; after the limit in seconds the trial is given up.
     """
-    weights, free = _weights_bytes(method, entry), available_memory()
-    least = None if weights is None else 1.1 * weights + _OVERHEAD
-    if least is not None and device.type == "cpu" and least > free:
-        note = f"not timed: it needs at least {in_words(least)} of memory, {in_words(free)} are free"
-        return Timing(None, None, least, None, note)
+    import torch
+
+    if device.type == "cpu" and entry.kind == "paper" and entry.builder is None:
+        with torch.device("meta"):  # counts bytes without allocating them
+            state = methods.build(method).state_dict()
+        least, free = 1.1 * sum(tensor.nbytes for tensor in state.values()) + _OVERHEAD, available_memory()
+        if least > free:
+            note = f"not timed: it needs at least {in_words(least)} of memory, {in_words(free)} are free"
+            return Timing(None, None, least, None, note)
     try:
         return in_own_process(_trial, method, entry, image_size, device, precision, limit=limit)
     except TimeoutError:
@@ -202,17 +195,6 @@ def time_method(
     except RuntimeError as error:
         reason = str(error)
     return Timing(None, None, None, None, f"not timed: {reason}")
-
-
-def _weights_bytes(method: str, entry: MethodEntry) -> int | None:
-    """Bytes of a library model's weights, counted without allocating them; ``None`` for other models."""
-    import torch
-
-    if entry.builder is not None or entry.kind != "paper":
-        return None
-    with torch.device("meta"):
-        model = methods.build(method)
-    return sum(tensor.numel() * tensor.element_size() for tensor in model.state_dict().values())
 
 
 def _trial(
