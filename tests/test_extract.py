@@ -75,12 +75,12 @@ def test_a_stored_result_is_used_only_while_its_key_is_equal(project, monkeypatc
     changed["methods"]["hog"]["preprocessing"]["size"] = [48, 64]
     changed["methods"]["hog"]["dimension"] = 216
     other = manifest.load(write_manifest(project, changed))
-    assert stored.descriptor_key(traversal, "hog", other.method("hog")) != first.key
+    assert stored.descriptor_key(traversal.digest, "hog", other.method("hog")) != first.key
     (project / "data" / "street" / "day" / "frame3.png").write_bytes(
         (project / "data" / "street" / "day" / "frame4.png").read_bytes()
     )
     assert (
-        stored.descriptor_key(datasets.load_traversal(loaded, "street", "day"), "hog", loaded.method("hog"))
+        stored.descriptor_key(datasets.load_traversal(loaded, "street", "day").digest, "hog", loaded.method("hog"))
         != first.key
     )
 
@@ -99,7 +99,7 @@ def test_all_broken_images_are_named_before_anything_is_complete(project, worker
     for name in ("frame1.png", "frame7.png", "frame11.png"):
         assert str(folder / name) in text
     path = stored.stored_path(
-        loaded, "thumbnail", stored.descriptor_key(traversal, "thumbnail", loaded.method("thumbnail"))
+        loaded, "thumbnail", stored.descriptor_key(traversal.digest, "thumbnail", loaded.method("thumbnail"))
     )
     assert not path.exists()
     assert not path.with_suffix(".json").exists()
@@ -296,7 +296,7 @@ def test_a_batch_dependent_method_has_the_batch_size_in_its_key(project):
     keys = []
     for size, dependent in ((5, True), (4, True), (5, False), (4, False)):
         loaded, traversal = with_method(project, "jointly", batch_dependent=dependent, batch_size=size)
-        keys.append(stored.descriptor_key(traversal, "own", loaded.method("own")))
+        keys.append(stored.descriptor_key(traversal.digest, "own", loaded.method("own")))
     assert keys[2] == keys[3]
     assert len(set(keys)) == 3
 
@@ -529,8 +529,10 @@ def test_mixed_precision_is_another_result(project):
     exact = extract.descriptors(loaded, traversal, "own", workers=0)
     mixed = extract.descriptors(loaded, traversal, "own", workers=0, precision="bfloat16")
     assert (exact.sidecar["precision"], mixed.sidecar["precision"]) == ("float32", "bfloat16")
-    assert len({stored.descriptor_key(traversal, "own", entry, precision) for precision in stored.PRECISIONS}) == 3
-    assert exact.key == stored.descriptor_key(traversal, "own", entry)
+    assert (
+        len({stored.descriptor_key(traversal.digest, "own", entry, precision) for precision in stored.PRECISIONS}) == 3
+    )
+    assert exact.key == stored.descriptor_key(traversal.digest, "own", entry)
     assert mixed.values.dtype == np.float32
     np.testing.assert_allclose(np.linalg.norm(mixed.values, axis=1), 1, atol=1e-5)
     assert 1e-5 < np.abs(exact.values - mixed.values).max() < 0.05

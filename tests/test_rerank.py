@@ -633,7 +633,7 @@ def test_another_dtype_is_another_result_but_the_descriptors_are_shared(project)
     found, traversal = loaded(project)
     keys = {second_stage_key(traversal, "local", found.method(method)) for method in ("local", "half")}
     assert len(keys) == 2
-    assert len({descriptor_key(traversal, "x", found.method(method)) for method in ("local", "half")}) == 1
+    assert len({descriptor_key(traversal.digest, "x", found.method(method)) for method in ("local", "half")}) == 1
 
 
 @pytest.mark.parametrize("stop", [1, 2, 3])

@@ -12,12 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
 from PIL import Image
 
 from artifact import datasets, methods, store
 from artifact.datasets import shipped
-from artifact.datasets.traversal import Traversal
 from artifact.extraction import local_features, reading
 from artifact.extraction.disk import in_words
 from artifact.extraction.stored import descriptor_key, stored_path
@@ -95,14 +93,9 @@ def is_stored(manifest: Manifest, method: str, dataset: str, known: KnownTravers
     as part of another dataset. Images that changed since, and not in number, are noticed only by the extraction itself.
     """
     entry = manifest.method(method)
-
-    def key(digest: str) -> str:
-        images = Traversal(dataset, known.name, "", (), np.zeros((0, 1)), digest)
-        return descriptor_key(images, method, entry, precision)
-
     if known.state == "not there yet":
         without_images = shipped.traversal(manifest.dataset(dataset).root or dataset, known.name)
-        if without_images is not None and shipped.path_of(key(without_images[1])):
+        if without_images is not None and shipped.path_of(descriptor_key(without_images[1], method, entry, precision)):
             return True
     roots = {name: other.root or name for name, other in manifest.datasets.items()}
     same = [name for name in roots if roots[name] == roots.get(dataset)] or [dataset]
@@ -110,7 +103,7 @@ def is_stored(manifest: Manifest, method: str, dataset: str, known: KnownTravers
         record.get("dataset") in same
         and record["traversal"] == known.name
         and record["shape"] == [known.images, entry.dimension]
-        and record["key"] == key(record["images"])
+        and record["key"] == descriptor_key(record["images"], method, entry, precision)
         for record in map(store.remembered, stored_path(manifest, method, "").parent.glob("*.json"))
     )
 
@@ -166,8 +159,6 @@ def seconds_per_image(timing: Timing, devices: Sequence[torch.device]) -> float:
 
     On the CPU reading and model share the cores; CUDA devices share the images, and reading goes on beside them.
     """
-    assert timing.forward is not None
-    assert timing.reading is not None
     if devices[0].type == "cpu":
         return timing.forward + timing.reading / (os.cpu_count() or 1)
     readers = len(devices) * reading.default_workers(len(devices))

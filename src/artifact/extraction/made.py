@@ -87,8 +87,8 @@ def _write_traversal(manifest: Manifest, name: str, entry: DatasetEntry, travers
         path = folder / file
         if store.find(path) is None:
             strength = recorded[entry.reported_as or name, method]
-            with store.replacing(path) as temporary, temporary.open("wb") as stream:
-                np.save(stream, descriptors(entry, traversal, method, along, strength, what))
+            with store.replacing(path) as temporary:
+                np.save(temporary, descriptors(entry, traversal, method, along, strength, what))
             store.seal(path, {"dataset": path.parent.name})
 
 

@@ -88,7 +88,7 @@ class Parts:
 
     def missing_bytes(self) -> int:
         """Return the disk that the missing parts will take."""
-        return sum(self._bytes(number) for number in self.missing())
+        return sum(math.prod(self._shape(number)) for number in self.missing()) * np.dtype(self.dtype).itemsize
 
     def write(self, number: int, blocks: Sequence[np.ndarray], record: Mapping[str, Any]) -> None:
         """Write a part from arrays that hold its rows in order, unless somebody has made it meanwhile.
@@ -137,9 +137,6 @@ class Parts:
     def _shape(self, number: int) -> tuple[int, ...]:
         rows = self.rows(number)
         return (rows.stop - rows.start, *self.shape)
-
-    def _bytes(self, number: int) -> int:
-        return math.prod(self._shape(number)) * np.dtype(self.dtype).itemsize
 
     def _fault(self, number: int) -> str | None:
         """Say why a part does not count; ``None`` if it does, as far as can be told without reading its values."""

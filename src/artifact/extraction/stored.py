@@ -19,8 +19,8 @@ PRECISIONS = ("float32", "bfloat16", "float16")
 REVISION = 2  # raise when the same model and images would give other descriptors
 
 
-def descriptor_key(traversal: Traversal, method: str, entry: MethodEntry, precision: str = "float32") -> str:
-    """Return the content key of descriptors: images, order, model, preprocessing, precision and code revisions.
+def descriptor_key(images: str, method: str, entry: MethodEntry, precision: str = "float32") -> str:
+    """Return the content key of descriptors: digest of the images in order, model, preprocessing, precision and revisions.
 
     Raises
     ------
@@ -30,7 +30,7 @@ def descriptor_key(traversal: Traversal, method: str, entry: MethodEntry, precis
     if precision not in PRECISIONS:
         raise ExtractionError(f"precision {precision!r}: allowed are {', '.join(PRECISIONS)}")
     mixed = {} if precision == "float32" else {"precision": precision}
-    return key_of_descriptors(traversal.digest, methods.fingerprint(method, entry), **mixed)
+    return key_of_descriptors(images, methods.fingerprint(method, entry), **mixed)
 
 
 def key_of_descriptors(images: str, model: Mapping[str, Any], **mixed: str) -> str:
@@ -42,7 +42,7 @@ def second_stage_key(traversal: Traversal, method: str, entry: MethodEntry, prec
     """Return the content key of a traversal's local features or codes."""
     if method in traversal.second_stage:
         return traversal.second_stage[method].sha256
-    return key_of_second_stage(descriptor_key(traversal, method, entry, precision), entry)
+    return key_of_second_stage(descriptor_key(traversal.digest, method, entry, precision), entry)
 
 
 def key_of_second_stage(descriptors: str, entry: MethodEntry) -> str:
@@ -114,7 +114,7 @@ def stored(manifest: Manifest, traversal: Traversal, method: str, precision: str
         own = store.key(stage="parts", of=key, batch_size=batch_size, images_each=each)
         return Parts(folder / str(batch_size), own, each, len(traversal), shape, dtype)
 
-    key = descriptor_key(traversal, method, entry, precision)
+    key = descriptor_key(traversal.digest, method, entry, precision)
     path = stored_path(manifest, method, key)
     found = Stored(path, key, parts(path.with_suffix(".parts"), key, entry.batch_size, (entry.dimension,), "float32"))
     if layout is None:
