@@ -191,7 +191,9 @@ def test_methods_of_a_trunk_are_described_by_one_pass_as_each_alone():
     assert list(methods.of_trunk(loaded, "hog")) == ["hog"]
     images = torch.rand(2, 3, 64, 96)
     with torch.inference_mode():
-        for (name, entry), found in zip(entries.items(), methods.shared(entries)(images), strict=True):
+        for (name, entry), found in zip(
+            entries.items(), methods.shared(entries, torch.device("cpu"))(images), strict=True
+        ):
             assert found.shape == (2, entry.dimension)
             np.testing.assert_allclose(found, methods.build(name)(images), atol=1e-6)
             np.testing.assert_allclose(found.norm(dim=1), 1, atol=1e-5)

@@ -297,12 +297,7 @@ def _check_room(place: Stored) -> None:
 
 
 def _assemble(
-    place: Stored,
-    traversal: Traversal,
-    method: str,
-    entry: MethodEntry,
-    precision: str,
-    make: Callable[[], object],
+    place: Stored, traversal: Traversal, method: str, entry: MethodEntry, precision: str, make: Callable[[], object]
 ) -> dict[str, Any]:
     """Make one file of the parts of the descriptors; its record, which is returned, completes it."""
     assemble(place.parts, place.path, make)

@@ -133,8 +133,8 @@ def forward_of(job: ExtractionJob, device: str | torch.device | None = None) -> 
     where = devices(device)[0]
     if job.others:
         entries = {job.method: job.entry} | {name: entry for name, entry, _ in job.others}
-        model = methods.shared(entries).to(where)
-        return Forward(model, job.entry, where, job.precision, [entry for _, entry, _ in job.others])
+        others = [entry for _, entry, _ in job.others]
+        return Forward(methods.shared(entries, where), job.entry, where, job.precision, others)
     return Forward.of(methods.model_of(job.method, job.entry), job.entry, where, job.precision, job.method)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import importlib.util
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -126,25 +126,20 @@ def of_trunk(manifest: Manifest, name: str) -> dict[str, MethodEntry]:
     return {other: one for other, one in manifest.methods.items() if one.trunk == entry.trunk}
 
 
-def shared(entries: Mapping[str, MethodEntry]) -> nn.Module:
-    """Return the model of methods of one trunk: from images to a tuple with the descriptors of each, in their order.
+def shared(
+    entries: Mapping[str, MethodEntry], device: torch.device
+) -> Callable[[torch.Tensor], tuple[torch.Tensor, ...]]:
+    """Return what gives, of images, the descriptors by each method of one trunk, in their order, on a device.
 
     Their models have ``maps(images)``, the same for all of them, and ``head(maps)``.
     """
-    from torch import nn
+    models = [model_of(name, entry).to(device) for name, entry in entries.items()]
 
-    class Shared(nn.Module):
-        """Several heads on one trunk."""
+    def descriptors(images: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        maps = models[0].maps(images)
+        return tuple(model.head(maps) for model in models)
 
-        def __init__(self, models: Iterable[nn.Module]) -> None:
-            super().__init__()
-            self.models = nn.ModuleList(models)
-
-        def forward(self, images: torch.Tensor) -> tuple[torch.Tensor, ...]:
-            maps = self.models[0].maps(images)
-            return tuple(model.head(maps) for model in self.models)
-
-    return Shared(model_of(name, entry) for name, entry in entries.items()).eval()
+    return descriptors
 
 
 def fetch(name: str, entry: MethodEntry, *, progress: bool = True) -> None:
