@@ -392,10 +392,10 @@ def slow():
 
 def batches_read(project, monkeypatch, end, most=1):
     """Read batches much larger than a pipe holds, while ``end(process)`` ends readers as long as they are fewer than `most`."""
-    started, original = [], reading._start
+    started, original = [], reading.start_process
 
-    def start(batches, preprocessing):
-        reader = original(batches, preprocessing)
+    def start(*arguments, **options):
+        reader = original(*arguments, **options)
         started.append(reader)
         if len(started) <= most:
             while not reader[1].poll(0.05):  # in the middle of a batch
@@ -403,7 +403,7 @@ def batches_read(project, monkeypatch, end, most=1):
             end(reader[0])
         return reader
 
-    monkeypatch.setattr(reading, "_start", start)
+    monkeypatch.setattr(reading, "start_process", start)
     loaded, traversal = load(project)
     wide = loaded.method("hog").preprocessing.model_copy(update={"size": (512, 512)})
     return list(reading.read_batches(jobs.batches(traversal.image_paths(), 5), wide, 1)), wide, traversal

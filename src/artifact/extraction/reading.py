@@ -60,7 +60,7 @@ def read_batches(
     died = ""
     try:
         for number in range(workers):
-            readers[number] = _start(batches[number::workers], preprocessing)
+            readers[number] = start_process(_serve, batches[number::workers], preprocessing, daemon=True)
         for number in range(len(batches)):
             prepared = None
             while prepared is None:
@@ -71,7 +71,9 @@ def read_batches(
                         raise ExtractionError(f"{died}, and so has another; memory may be short. Run again") from None
                     died = f"a process that reads images has ended (exit status {_end(*readers[number % workers])})"
                     store.say(f"{died}; another takes its place")
-                    readers[number % workers] = _start(batches[number::workers], preprocessing)
+                    readers[number % workers] = start_process(
+                        _serve, batches[number::workers], preprocessing, daemon=True
+                    )
             if isinstance(prepared, Exception):
                 raise prepared
             yield prepared
@@ -80,12 +82,8 @@ def read_batches(
             _end(*reader)
 
 
-def _start(batches: Sequence[Sequence[Path]], preprocessing: Preprocessing) -> tuple[BaseProcess, Connection]:
-    """Start a process that prepares some batches, each while the one before is on its way."""
-    return start_process(_serve, batches, preprocessing, daemon=True)
-
-
 def _serve(connection: Connection, batches: Sequence[Sequence[Path]], preprocessing: Preprocessing) -> None:
+    """Prepare some batches, each while the one before is on its way."""
     import torch
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the model's process hears it too, and ends this one
