@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from torch import nn
 
-Model = TypeVar("Model", bound=nn.Module)
 
-
-def untrained(make: Callable[..., Model], seed: int = 0, **options: Any) -> Model:
+def untrained(make: Callable[..., nn.Module], seed: int = 0, **options: Any) -> nn.Module:
     """Return ``make(**options)`` for inference, in eval mode, with reproducible weights that no training has touched.
 
     The constructor runs on the meta device, so PyTorch's own initialisation costs nothing and the global random state
