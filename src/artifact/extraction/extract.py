@@ -138,6 +138,7 @@ def second_stage(
     method: str,
     *,
     device: str | torch.device | None = None,
+    precision: str = "float32",
     workers: int | None = None,
 ) -> SecondOutput | np.ndarray:
     """Return what a two-stage method stores besides descriptors: local features, or packed hash codes.
@@ -152,13 +153,13 @@ def second_stage(
     """
     if method in traversal.second_stage:
         return _rows_of(manifest, traversal, method, traversal.second_stage[method])
-    second = stored(manifest, traversal, method).second
+    second = stored(manifest, traversal, method, precision).second
     if second is None:
         raise ManifestError(f"{manifest.path}: methods.{method} has neither local_features nor code_bits")
-    make = functools.partial(_make, manifest, traversal, method, device, "float32", workers, progress=False)
+    make = functools.partial(_make, manifest, traversal, method, device, precision, workers, progress=False)
     if second.missing():
         traversal.image_paths()
-        descriptors(manifest, traversal, method, device=device, workers=workers)
+        descriptors(manifest, traversal, method, device=device, precision=precision, workers=workers)
         make()
     second.tidy()
     return SecondOutput(second, make)
