@@ -242,7 +242,7 @@ def _rank_again(
     what: str, part: int, dataset: str, method: str, parameters: Mapping[str, Any], manifest: Manifest
 ) -> None:
     pools = studies.distractors.pools_of_conditions(manifest, dataset) if what == "pools" else ((), None)
-    both = TwoStage.of(manifest, dataset, method, *pools, seed=parameters.get("seed", 0))
+    both = TwoStage(manifest, dataset, method, *pools, seed=parameters.get("seed", 0))
     if what == "sweep":
         both.make_sweep(part, QUERY_POOL, parameters.get("draws", 20))
     else:

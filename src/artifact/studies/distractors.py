@@ -10,7 +10,6 @@ import pandas as pd
 from scipy.spatial import cKDTree
 
 from artifact import datasets as data
-from artifact.datasets.positives import positives_of
 from artifact.manifest import Manifest
 from artifact.metrics.result import Result
 from artifact.studies import evaluated, reported
@@ -150,9 +149,8 @@ def pools_of_conditions(manifest: Manifest, dataset: str) -> tuple[list[str], in
         )
     names = [entry.query, *entry.distractor_traversals]
     loaded = data.load(manifest, dataset, names)
-    starts, _ = positives_of(loaded.query.positions, loaded.database.positions, loaded.threshold)
-    size = min(int((np.diff(starts) > 0).sum()), *(len(loaded.traversals[name]) for name in names[1:]))
-    return names, size
+    evaluated_queries = evaluated.with_positives(loaded)
+    return names, min(len(evaluated_queries), *(len(loaded.traversals[name]) for name in names[1:]))
 
 
 def _of_size(result: Result, size: int, k: int) -> tuple[np.ndarray, dict[str, float]]:

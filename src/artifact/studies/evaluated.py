@@ -7,8 +7,8 @@ stored ranking when every input is the same.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -85,7 +85,7 @@ def evaluation(
     if manifest.method(method).rerank is not None:
         if similarity != "cosine":
             raise ValueError(f"similarity is {similarity!r}; the two stages of {method} compare in their own ways")
-        both = TwoStage.of(manifest, dataset, method, names, pool_size, seed=seed, device=device)
+        both = TwoStage(manifest, dataset, method, names, pool_size, seed, device)
 
         @functools.cache
         def sweep_of(pool: str) -> two_stage_sweeps.Sweep:
@@ -112,16 +112,18 @@ def evaluation(
     return Measured(result["evaluation"], loaded, method, described.inputs)
 
 
+def with_positives(dataset: Dataset) -> np.ndarray:
+    """Return which queries are evaluated, ``(n,)``: those with a positive in the database."""
+    starts, _ = positives.positives_of(dataset.query.positions, dataset.database.positions, dataset.threshold)
+    return np.flatnonzero(np.diff(starts))
+
+
 def _pool_rows(dataset: Dataset, name: str, size: int | None, seed: int) -> np.ndarray | slice:
     """Which images of a traversal are a distractor pool; of the query traversal, the evaluated queries."""
-    positions = dataset.traversals[name].positions
-    rows: np.ndarray | slice = slice(None)
-    if name == dataset.query_name:
-        starts, _ = positives.positives_of(positions, dataset.database.positions, dataset.threshold)
-        rows = np.flatnonzero(np.diff(starts))
+    rows = with_positives(dataset) if name == dataset.query_name else slice(None)
     if size is None:
         return rows
-    members = np.arange(len(positions))[rows]
+    members = np.arange(len(dataset.traversals[name]))[rows]
     if size > len(members):
         raise ValueError(f"{dataset.name}/{name} has {len(members)} images for a pool of {size}; ask for at most that")
     return members[np.sort(np.random.default_rng(seed).choice(len(members), size, replace=False))]
@@ -134,149 +136,126 @@ def _pool_rows(dataset: Dataset, name: str, size: int | None, seed: int) -> np.n
 class TwoStage:
     """A method that ranks again, on a dataset with its pools of distractors: what is ranked is stored, whole and in parts.
 
-    A part has :data:`QUERIES_EACH` of the evaluated queries, if they are ranked by local features: that can take ten seconds
-    for each query. Parts are made wherever it suits, and in any order.
+    Parameters and errors are those of :func:`evaluation`, ``names`` its ``distractors``. A part has :data:`QUERIES_EACH` of
+    the evaluated queries, if they are ranked by local features: that can take ten seconds for each query. Parts are made
+    wherever it suits, and in any order.
     """
 
     manifest: Manifest
-    described: Described
-    names: tuple[str, ...]
-    pool_size: int | None
-    seed: int
+    dataset: str
+    method: str
+    names: Sequence[str] = ()
+    pool_size: int | None = None
+    seed: int = 0
     device: Any = None
-    _read: dict[str, Images] = field(default_factory=dict, repr=False)
-
-    @classmethod
-    def of(
-        cls,
-        manifest: Manifest,
-        dataset: str,
-        method: str,
-        names: Iterable[str] = (),
-        pool_size: int | None = None,
-        *,
-        seed: int = 0,
-        device: Any = None,
-    ) -> TwoStage:
-        """Load the dataset and its descriptors; parameters and errors are those of :func:`evaluation`."""
-        entry, names = manifest.method(method), tuple(names)
-        if entry.local_features is None and entry.code_bits is None:
-            raise ManifestError(
-                f"{manifest.path}: methods.{method} re-ranks {entry.rerank} candidates, but does not say by what; add "
-                f"local_features (with shape) or code_bits"
-            )
-        loaded = datasets.load(manifest, dataset, names)
-        extract.check_disk(manifest, loaded.traversals.values(), [method])
-        return cls(manifest, describe(manifest, dataset, method, names, device=device), names, pool_size, seed, device)
-
-    @property
-    def parts(self) -> list[slice]:
-        """The rows of the evaluated queries of each part."""
-        data = self.described.dataset
-        starts, _ = positives.positives_of(data.query.positions, data.database.positions, data.threshold)
-        return parts_of(self.manifest.method(self.described.method), int((np.diff(starts) > 0).sum()))
 
     def ranking(self, retrieve: int = 0) -> dict[str, np.ndarray]:
         """Return the arrays of the evaluation, with retrieval lists of a length."""
-        return self._whole("two-stage ranking", self._ranking(retrieve), two_stage.joined, retrieve=retrieve)
+        return self._whole("two-stage ranking", retrieve=retrieve)
 
-    def make_ranking(self, number: int, retrieve: int = 0) -> None:
+    def make_ranking(self, number: int) -> None:
         """Rank the queries of one part, if there is one of that number and the whole is not stored."""
-        self._part("two-stage ranking", self._ranking(retrieve), number, retrieve=retrieve)
+        self._make("two-stage ranking", number, retrieve=0)
 
     def sweep(self, pool: str, draws: int) -> dict[str, np.ndarray]:
         """Return the arrays of the sweeps over a pool, with at most so many random draws."""
-        options = {"pool": pool, "draws": self._draws(draws)}
-        return self._whole("two-stage sweep", self._sweep(**options), two_stage_sweeps.joined, **options)
+        return self._whole("two-stage sweep", pool=pool, draws=self._draws(draws))
 
     def make_sweep(self, number: int, pool: str, draws: int) -> None:
         """Rank the queries of one part for the sweeps; as :meth:`make_ranking`."""
-        options = {"pool": pool, "draws": self._draws(draws)}
-        self._part("two-stage sweep", self._sweep(**options), number, **options)
+        self._make("two-stage sweep", number, pool=pool, draws=self._draws(draws))
+
+    @functools.cached_property
+    def described(self) -> Described:
+        """The dataset and its descriptors, once the disk is known to have room for what is made with them."""
+        entry = self._entry
+        if entry.local_features is None and entry.code_bits is None:
+            raise ManifestError(
+                f"{self.manifest.path}: methods.{self.method} re-ranks {entry.rerank} candidates, but does not say by what; "
+                f"add local_features (with shape) or code_bits"
+            )
+        loaded = datasets.load(self.manifest, self.dataset, self.names)
+        extract.check_disk(self.manifest, loaded.traversals.values(), [self.method])
+        return describe(self.manifest, self.dataset, self.method, self.names, device=self.device)
 
     @property
     def by_local_features(self) -> bool:
         """Whether local features rank again, and not descriptors."""
-        return self.manifest.method(self.described.method).local_features is not None
+        return self._entry.local_features is not None
+
+    @property
+    def _entry(self) -> MethodEntry:
+        return self.manifest.method(self.method)
 
     def _draws(self, most: int) -> int:
         return min(most, _MOST_DRAWS_BY_LOCAL_FEATURES) if self.by_local_features else most
 
-    def _ranking(self, retrieve: int) -> Callable[[slice], dict[str, np.ndarray]]:
-        def rank(rows: slice) -> dict[str, np.ndarray]:
-            pools = {name: self._pool(name) for name in self.names}
-            return self._ranked(two_stage.evaluate_two_stage, pools, rows=rows, retrieve=retrieve)
-
-        return rank
-
-    def _sweep(self, pool: str, draws: int) -> Callable[[slice], dict[str, np.ndarray]]:
-        def rank(rows: slice) -> dict[str, np.ndarray]:
-            return self._ranked(two_stage_sweeps.sweep, self._pool(pool), rows=rows, draws=draws)
-
-        return rank
-
-    def _ranked(self, rank: Callable[..., Any], pools: Any, **options: Any) -> dict[str, np.ndarray]:
-        data, entry = self.described.dataset, self.manifest.method(self.described.method)
-        scores = matching.LocalMatcher(device=self.device) if self.by_local_features else matching.cosines
-        pair = self._images(data.query_name), self._images(data.database_name), data.threshold
-        return rank(*pair, scores, pools, candidates=entry.rerank, seed=self.seed, **options).arrays()
-
-    def _images(self, name: str) -> Images:
-        if name not in self._read:
-            self._read[name] = self._load(name)
-        return self._read[name]
-
-    def _load(self, name: str) -> Images:
-        traversal, values = self.described.dataset.traversals[name], self.described.descriptors[name].values
-        second = extract.second_stage(self.manifest, traversal, self.described.method, device=self.device)
-        first, second = (values, second) if self.by_local_features else (second[np.arange(len(second))], values)
-        return Images.of(first, second, traversal.positions)
+    @functools.cached_property
+    def _images(self) -> dict[str, Images]:
+        """What both stages know of each traversal."""
+        found = {}
+        for name, traversal in self.described.dataset.traversals.items():
+            values = self.described.descriptors[name].values
+            second = extract.second_stage(self.manifest, traversal, self.method, device=self.device)
+            stages = (values, second) if self.by_local_features else (second[np.arange(len(second))], values)
+            found[name] = Images.of(*stages, traversal.positions)
+        return found
 
     def _pool(self, name: str) -> Images | None:
         if name not in self.names:
             return None
-        return self._images(name).take(_pool_rows(self.described.dataset, name, self.pool_size, self.seed))
+        return self._images[name].take(_pool_rows(self.described.dataset, name, self.pool_size, self.seed))
 
-    def _whole(
-        self,
-        stage: str,
-        rank: Callable[[slice], dict[str, np.ndarray]],
-        joined: Callable[[Sequence[Mapping[str, np.ndarray]]], dict[str, np.ndarray]],
-        **options: Any,
-    ) -> dict[str, np.ndarray]:
+    def _rank(self, rows: slice, **options: Any) -> dict[str, np.ndarray]:
+        """Rank some of the evaluated queries: for the sweeps if a pool is named, else for the evaluation."""
+        data = self.described.dataset
+        pair = self._images[data.query_name], self._images[data.database_name], data.threshold
+        scores = matching.LocalMatcher(device=self.device) if self.by_local_features else matching.cosines
+        options |= {"candidates": self._entry.rerank, "seed": self.seed, "rows": rows}
+        if "pool" in options:
+            pool = self._pool(options.pop("pool"))
+            return two_stage_sweeps.sweep(*pair, scores, pool, **options).arrays()
+        pools = {name: self._pool(name) for name in self.names}
+        return two_stage.evaluate_two_stage(*pair, scores, pools, **options).arrays()
+
+    def _parts(self) -> list[slice]:
+        return parts_of(self._entry, len(with_positives(self.described.dataset)))
+
+    def _whole(self, stage: str, **options: Any) -> dict[str, np.ndarray]:
         def compute() -> dict[str, np.ndarray]:
-            parts = self.parts
+            parts = self._parts()
             if len(parts) == 1:
-                return rank(parts[0])
-            return joined([self._stored_part(stage, rank, rows, **options) for rows in parts])
+                return self._rank(parts[0], **options)
+            module = two_stage_sweeps if "pool" in options else two_stage
+            return module.joined([self._part(stage, rows, **options) for rows in parts])
 
-        return stored(self.manifest, self._key(stage, **options), compute, self._record(stage))
+        return self._stored(stage, compute, **options)
 
-    def _part(self, stage: str, rank: Callable[[slice], dict[str, np.ndarray]], number: int, **options: Any) -> None:
-        parts = self.parts
+    def _make(self, stage: str, number: int, **options: Any) -> None:
+        parts = self._parts()
         if number < len(parts) > 1 and not is_stored(self.manifest, self._key(stage, **options)):
-            self._stored_part(stage, rank, parts[number], **options)
+            self._part(stage, parts[number], **options)
 
-    def _stored_part(
-        self, stage: str, rank: Callable[[slice], dict[str, np.ndarray]], rows: slice, **options: Any
+    def _part(self, stage: str, rows: slice, **options: Any) -> dict[str, np.ndarray]:
+        bounds = [rows.start, rows.stop]
+        return self._stored(f"{stage}, part", lambda: self._rank(rows, **options), rows=bounds, **options)
+
+    def _stored(
+        self, stage: str, compute: Callable[[], dict[str, np.ndarray]], **options: Any
     ) -> dict[str, np.ndarray]:
-        key = self._key(f"{stage}, part", rows=[rows.start, rows.stop], **options)
-        return stored(self.manifest, key, lambda: rank(rows), self._record(f"{stage}, part"))
-
-    def _record(self, stage: str) -> dict[str, Any]:
-        return {"dataset": self.described.dataset.name, "method": self.described.method, "stage": stage}
+        record = {"dataset": self.described.dataset.name, "method": self.method, "stage": stage}
+        return stored(self.manifest, self._key(stage, **options), compute, record)
 
     def _key(self, stage: str, **options: Any) -> str:
-        method, loaded = self.described.method, self.described.dataset
-        entry = self.manifest.method(method)
+        traversals = self.described.dataset.traversals.items()
         return store.key(
             stage=stage,
             **options,
             revision=two_stage.REVISION,
             inputs=self.described.key_inputs(),
-            candidates=entry.rerank,
+            candidates=self._entry.rerank,
             seed=self.seed,
-            second={name: second_stage_key(t, method, entry) for name, t in loaded.traversals.items()},
+            second={name: second_stage_key(one, self.method, self._entry) for name, one in traversals},
             pools=list(self.names),
             pool_size=self.pool_size,
         )
