@@ -88,6 +88,11 @@ def replicated_hits(evaluation: Result, k: int, dataset: str, seed: int) -> np.n
     return replicated(np.stack(hits, axis=1), evaluation, dataset, seed)
 
 
+def by_column(columns: Sequence[str], sample: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the replicates of each column from those of each row, ``(columns, count)``."""
+    return dict(zip(columns, np.stack(sample, axis=1), strict=True)) if sample else {}
+
+
 def shares(sample: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the ends of the 95 % intervals of replicates of shares in percent."""
     return statistics.ends(sample.clip(0, PERCENT))

@@ -11,7 +11,7 @@ import pandas as pd
 from artifact.manifest import Manifest
 from artifact.metrics.statistics import intervals
 from artifact.studies import evaluated, reported
-from artifact.studies.common import METRICS, PERCENT, Study, origin, replicated_hits
+from artifact.studies.common import METRICS, PERCENT, Study, by_column, origin, replicated_hits
 
 
 def recall_table(
@@ -44,8 +44,7 @@ def recall_table(
             printed = expected.get((entry.reported_as, method), {})
             rows.append(row | {f"reported_{metric}": printed.get(f"{metric}@1", np.nan) for metric in METRICS})
             inputs += measured.inputs
-    found = dict(zip(("R", "DAR"), np.stack(sample, axis=1), strict=True)) if sample else {}
-    return Study(pd.DataFrame(rows), tuple(inputs), found)
+    return Study(pd.DataFrame(rows), tuple(inputs), by_column(("R", "DAR"), sample))
 
 
 def with_means(table: pd.DataFrame) -> pd.DataFrame:

@@ -6,15 +6,16 @@ from collections.abc import Iterable, Sequence
 from itertools import product
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from artifact.manifest import Manifest
 from artifact.metrics.evaluation import Evaluation
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies import fitted
-from artifact.studies.common import PERCENT, Study, cell_of, origin, replicated_hits, single_stage
+from artifact.studies.common import PERCENT, Study, by_column, cell_of, origin, replicated_hits, single_stage
 from artifact.studies.fitted import METHODS, Fitting
+
+_CHANGES = ("change_R", "change_DAR")
 
 
 def suppression_table(
@@ -47,12 +48,7 @@ def suppression_table(
             row["of_nordland"] = "nordland" in (entry.reported_as, (entry.mirrors or "").lower())
             rows.append(row | {"origin": origin(result.described)})
         inputs += result.described.inputs
-    return Study(pd.DataFrame(rows), tuple(inputs), _by_change(sample))
-
-
-def _by_change(sample: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Replicates of the changes of R and DAR from those of each row, ``(2, count)``."""
-    return dict(zip(("change_R", "change_DAR"), np.stack(sample, axis=1), strict=True)) if sample else {}
+    return Study(pd.DataFrame(rows), tuple(inputs), by_column(_CHANGES, sample))
 
 
 def _changes(before: Evaluation, after: Evaluation, k: int) -> dict[str, float]:
@@ -102,7 +98,7 @@ def fitting_fraction(
                 rows.append(row | _changes(before, after, k))
                 sample.append(replicated_hits(after, k, name, seed) - reference)
         inputs += described.inputs
-    return Study(pd.DataFrame(rows), tuple(inputs), _by_change(sample))
+    return Study(pd.DataFrame(rows), tuple(inputs), by_column(_CHANGES, sample))
 
 
 def mean_by_fraction(table: pd.DataFrame) -> pd.DataFrame:
