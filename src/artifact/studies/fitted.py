@@ -119,25 +119,18 @@ def compare(manifest: Manifest, dataset: str, method: str, **fitting: Any) -> Su
 
     def compute() -> dict[str, Any]:
         fitted = fit(*fitting_data(described, where), iterations=how.iterations, seed=how.seed)
-        return {
-            "views": evaluate_region(described, where, {name: fitted[name] for name in LOW_RANK}, seed=how.seed),
-            "STD": evaluate_standardised(described, where, fitted["STD"], seed=how.seed),
-            "probes": _probes(described, where, fitted, how.seed),
-        }
+        views = evaluate_region(described, where, {name: fitted[name] for name in LOW_RANK}, seed=how.seed)
+        standardised = evaluate_standardised(described, where, fitted["STD"], seed=how.seed)
+        region = evaluation_region(described, where)
+        with store.stage("fit"):
+            probes = [probe(*region, transform=fitted.get(name), seed=how.seed) for name in (ORIGINAL, *METHODS)]
+        return {"views": views, "STD": standardised, "probes": np.array(probes, np.float64)}
 
     key = key_of("compare", [described], astuple(how))
     results = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "suppression"})
     evaluations = {name: results["views"][name] for name in (ORIGINAL, *LOW_RANK)} | {"STD": results["STD"]}
     found = [Guardedness(accuracy, bool(converged)) for accuracy, converged in results["probes"].tolist()]
     return Suppressed(evaluations, dict(zip(evaluations, found, strict=True)), described, where)
-
-
-def _probes(described: Described, where: Split, fitted: Mapping[str, Any], seed: int) -> np.ndarray:
-    """Accuracy and convergence ``(4, 2)`` of the probe on the original and the suppressed descriptors."""
-    region = evaluation_region(described, where)
-    with store.stage("fit"):
-        found = [probe(*region, transform=fitted.get(name), seed=seed) for name in (ORIGINAL, *METHODS)]
-    return np.array(found, np.float64)
 
 
 def by_fraction(
@@ -158,11 +151,9 @@ def by_fraction(
         for fraction, region in usable.items():
             fitted = fit(*fitting_data(described, region), iterations=iterations, seed=seed)
             views |= {f"{name} {fraction!r}": fitted[name] for name in LOW_RANK}
-            standardised[f"STD {fraction!r}"] = fitted["STD"]
-        region = next(iter(usable.values()))
-        return {"views": evaluate_region(described, region, views, seed=seed)} | {
-            name: evaluate_standardised(described, region, std, seed=seed) for name, std in standardised.items()
-        }
+            evaluation = evaluate_standardised(described, region, fitted["STD"], seed=seed)
+            standardised[f"STD {fraction!r}"] = evaluation
+        return {"views": evaluate_region(described, next(iter(usable.values())), views, seed=seed)} | standardised
 
     results = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "fractions"})
     found = {(ORIGINAL, 0.0): results["views"]}
@@ -190,24 +181,16 @@ def sequential(
     key = key_of("sequential", list(described.values()), [suppressor, *astuple(how)])
 
     def fitted(X: np.ndarray, condition: np.ndarray) -> LowRankMap:
-        estimator = fit(X, condition, [suppressor], iterations=how.iterations, seed=how.seed)[suppressor]
-        return LowRankMap(*estimator.low_rank())
+        return fit(X, condition, [suppressor], iterations=how.iterations, seed=how.seed)[suppressor].map_
 
     def compute() -> dict[str, Any]:
         maps: dict[str, LowRankMap] = {}
         for number, one in enumerate(described.values()):
             X, condition = fitting_data(one, split_of(one.dataset, how.fraction))
-            maps[f"single {number}"] = fitted(X, condition)
-            if number:
-                further = fitted(maps["composed"].transform(X), condition)
-                maps["composed"] = compose(maps["composed"], further)
-            else:
-                maps["composed"] = maps["single 0"]
-        return {
-            f"{name} {part}": array
-            for name, one in maps.items()
-            for part, array in zip(_PARTS, one.low_rank(), strict=True)
-        }
+            maps[f"single {number}"] = single = fitted(X, condition)
+            earlier = maps.get("composed")
+            maps["composed"] = compose(earlier, fitted(earlier.transform(X), condition)) if earlier else single
+        return {f"{name} {part}": getattr(one, part) for name, one in maps.items() for part in _PARTS}
 
     arrays = stored(manifest, key, compute, {"datasets": list(described), "method": method, "stage": "sequential"})
 

@@ -24,7 +24,6 @@ from artifact.studies import fitted, reported
 from artifact.studies.common import PERCENT, is_reported, require_single_stage, shares
 from artifact.studies.fitted import Fitting
 from artifact.suppression.inlp import INLP
-from artifact.suppression.lowrank import LowRankMap
 
 MIXED_SHARE = 0.05
 """Share of the frames of a traversal with the query's kind of condition that joins the database (paper Figs. 2, 9)."""
@@ -107,7 +106,7 @@ def mixed_database_suppressed(
 
     def compute() -> dict[str, Any]:
         inlp = INLP(how.iterations, seed=how.seed).fit(*fitted.fitting_data(described, region))
-        views = {"INLP": LowRankMap(*inlp.low_rank())}
+        views = {"INLP": inlp}
         first = _retrieve(described, *rows, extra, drawn[0], views=views)
         others = [_retrieve(described, *rows, extra, f, views=views, distractors={}) for f in drawn[1:]]
         scored = functools.reduce(np.intersect1d, [one.evaluated for one in (first, *others)])
@@ -115,8 +114,7 @@ def mixed_database_suppressed(
         return {"views": first, "scored": scored} | found
 
     found = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "mixed database"})
-    views = {name: found["views"][name] for name in (ORIGINAL, "INLP")}
-    hits = {name: found[name] for name in views}
+    views, hits = ({name: of[name] for name in (ORIGINAL, "INLP")} for of in (found["views"], found))
     return MixedDatabase(described, extra, drawn[0], views, hits, found["scored"], *rows, region.fit_queries)
 
 
@@ -190,15 +188,8 @@ def mixed_recall(
     for method, one in found.items():
         for name, sample in one.replicates(seed).items():
             drawn = one.recalls(name)
-            low, high = shares(sample)
-            row = {
-                "method": method,
-                "evaluation": name,
-                "R": drawn.mean(),
-                "draw_low": drawn.min(),
-                "draw_high": drawn.max(),
-            }
-            row |= {"low": min(low, drawn.min()), "high": max(high, drawn.max()), "queries": len(one.hits[name])}
-            rows.append(row | {"reported": expected.get((method, name), np.nan)})
+            (low, high), least, most = shares(sample), drawn.min(), drawn.max()
+            numbers = drawn.mean(), min(low, least), max(high, most), least, most, len(one.hits[name])
+            rows.append((method, name, *numbers, expected.get((method, name), np.nan)))
     columns = ["method", "evaluation", "R", "low", "high", "draw_low", "draw_high", "queries", "reported"]
     return pd.DataFrame(rows, columns=columns)
