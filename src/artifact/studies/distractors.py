@@ -92,9 +92,14 @@ def by_distance_everywhere(
     for name in names:
         threshold = manifest.dataset(name).threshold
         if threshold.unit == "metres":
-            limits = [threshold.value, *(one for one in distances if threshold.value < one < np.inf), np.inf]
+            limits = distances_beyond(threshold.value, distances)
             found.append(distractor_distance(manifest, name, methods, limits, k=k, seed=seed))
     return joined(found)
+
+
+def distances_beyond(threshold: float, distances: Iterable[float]) -> list[float]:
+    """Return a threshold, the finite ones of some distances beyond it, and infinity."""
+    return [threshold, *(distance for distance in distances if threshold < distance < np.inf), np.inf]
 
 
 def _distractors_left(result: Result, distances: Sequence[float]) -> list[float]:

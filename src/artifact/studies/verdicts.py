@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -159,22 +159,15 @@ def _within_1_pp(differences: np.ndarray, axis: int) -> np.ndarray:
     return (np.abs(differences) <= 1 + 1e-9).sum(axis)
 
 
-class _Statistic(NamedTuple):
-    """A number that the paper prints of pairs: its name, how it is computed, its column there, and its decimals."""
-
-    quantity: str
-    compute: Callable[..., Any]
-    column: str
-    digits: int
-
-
-_COUNTS = [_Statistic("pairs whose {metric} {direction}", _rises, "improved", 0)]
-_DIFFERENCES = [
-    _Statistic("Δ{metric}, mean", np.mean, "mean_pp", 2),
-    _Statistic("Δ{metric}, standard deviation", functools.partial(np.std, ddof=1), "std_pp", 2),
-    _Statistic("Δ{metric}, pairs within 1 pp", _within_1_pp, "within_1pp", 0),
+# What the paper prints of pairs: the name of a number, how it is computed, its column there, and its decimals.
+_Statistic = tuple[str, Callable[..., Any], str, int]
+_COUNTS: list[_Statistic] = [("pairs whose {metric} {direction}", _rises, "improved", 0)]
+_DIFFERENCES: list[_Statistic] = [
+    ("Δ{metric}, mean", np.mean, "mean_pp", 2),
+    ("Δ{metric}, standard deviation", functools.partial(np.std, ddof=1), "std_pp", 2),
+    ("Δ{metric}, pairs within 1 pp", _within_1_pp, "within_1pp", 0),
 ]
-_MEAN_CHANGE = [_Statistic("Δ{metric} at {fitting_fraction:g}", np.mean, "change_pp", 3)]
+_MEAN_CHANGE: list[_Statistic] = [("Δ{metric} at {fitting_fraction:g}", np.mean, "change_pp", 3)]
 
 
 def of_counts(table: pd.DataFrame) -> pd.DataFrame:
@@ -265,7 +258,8 @@ def _of_robotcar(manifest: Manifest, name: str, methods: Sequence[str], seed: in
     title, threshold = manifest.dataset(name).title, manifest.dataset(name).threshold.value
     what = manifest, name, methods
     number = distractors.distractor_number(*what, RATIOS, seed=seed).table
-    distance = distractors.distractor_distance(*what, distances_beyond(threshold), seed=seed).table
+    distances = distractors.distances_beyond(threshold, DISTANCES)
+    distance = distractors.distractor_distance(*what, distances, seed=seed).table
     condition = distractors.distractor_condition(*what, seed=seed).table
     found = [
         of_curve(number, "Fig. 6a", title, "ratio"),
@@ -278,8 +272,3 @@ def _of_robotcar(manifest: Manifest, name: str, methods: Sequence[str], seed: in
         table = mixed_database.mixed_recall(manifest, name, maps, f"fig{figure:02}", seed=seed)
         found.append(of_mixed_database(table, f"Fig. {figure}", title))
     return found
-
-
-def distances_beyond(threshold: float) -> list[float]:
-    """Return a threshold in metres, the distances of Fig. 6b beyond it, and infinity."""
-    return [threshold, *(distance for distance in DISTANCES if distance > threshold), math.inf]
