@@ -14,7 +14,6 @@ import pandas as pd
 from artifact.datasets import shipped
 from artifact.metrics.evaluate import evaluate
 from artifact.ranking import products
-from artifact.ranking.one_pass import Work
 from artifact.suppression.lowrank import LowRankMap
 
 Made = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -32,32 +31,26 @@ def synthetic(n_queries: int, n_database: int, dimension: int, seed: int = 0) ->
     Queries share a direction, so that part of the distractors beat the positives, as real distractors do.
     """
     rng = np.random.default_rng(seed)
-
-    def unit(x: np.ndarray) -> np.ndarray:
-        return (x / np.linalg.norm(x, axis=1, keepdims=True)).astype(np.float32)
-
-    database = unit(rng.standard_normal((n_database, dimension), dtype=np.float32))
+    database = _unit(rng.standard_normal((n_database, dimension), dtype=np.float32))
     along_queries, along_database = np.arange(n_queries) * 1.0, np.linspace(0, n_queries, n_database)
     nearest = np.searchsorted(along_database, along_queries).clip(max=n_database - 1)
-    noise = unit(rng.standard_normal((n_queries, dimension), dtype=np.float32))
-    condition = unit(rng.standard_normal((1, dimension), dtype=np.float32))
+    noise = _unit(rng.standard_normal((n_queries, dimension), dtype=np.float32))
+    condition = _unit(rng.standard_normal((1, dimension), dtype=np.float32))
     strength = rng.uniform(0.05, 0.5, (n_queries, 1)).astype(np.float32)
-    queries = unit(noise + 0.08 * database[nearest] + strength * condition)
+    queries = _unit(noise + 0.08 * database[nearest] + strength * condition)
     places = [np.column_stack([along, np.zeros_like(along)]) for along in (along_queries, along_database)]
     return queries, database, places[0], places[1]
 
 
-def tiled(n_queries: int, n_database: int, method: str = "efficientnet_lite0_vlad", seed: int = 0) -> Made:
+def tiled(n_queries: int, n_database: int) -> Made:
     """Return the real descriptors of Gardens Point that ship, day and night, again and again with some noise."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
 
     def rows(name: str, n: int) -> np.ndarray:
-        stored = np.load(shipped.folder() / "gardens_point" / f"{name}-{method}.npy", allow_pickle=False)
-        noise = rng.standard_normal((n, stored.shape[1]), dtype=np.float32) * np.float32(
-            _NOISE / stored.shape[1] ** 0.5
-        )
-        found = np.resize(stored, (n, stored.shape[1])).astype(np.float32) + noise
-        return found / np.linalg.norm(found, axis=1, keepdims=True)
+        stored = np.load(shipped.folder() / "gardens_point" / f"{name}-efficientnet_lite0_vlad.npy", allow_pickle=False)
+        d = stored.shape[1]
+        noise = rng.standard_normal((n, d), dtype=np.float32) * np.float32(_NOISE / d**0.5)
+        return _unit(np.resize(stored, (n, d)).astype(np.float32) + noise)
 
     places = [_THRESHOLD / 2 * np.column_stack([np.arange(n) % 200, np.zeros(n)]) for n in (n_queries, n_database)]
     return rows("day_right", n_queries), rows("night_right", n_database), places[0], places[1]
@@ -110,13 +103,10 @@ def ranking_times(made: Made, *, n_views: int = 0, repeats: int = 3) -> pd.DataF
             found[name] = work()
             least[name] = min(least[name], time.perf_counter() - start)
     frame = pd.DataFrame({"work": list(works), "seconds": list(least.values())})
-    bare = frame["seconds"].iloc[:2].min()
-    frame["share"] = frame["seconds"] / bare
-    looked = [found[name] if isinstance(found[name], Work) else None for name in works]
-    frame["pairs"] = [work and work.pairs for work in looked]
-    frame["second"] = [work and work.second_looks for work in looked]
-    frame["third"] = [work and work.third_looks for work in looked]
-    frame["product"] = [work and work.product for work in looked]
+    frame["share"] = frame["seconds"] / frame["seconds"].iloc[:2].min()
+    facts = {"pairs": "pairs", "second": "second_looks", "third": "third_looks", "product": "product"}
+    for column, fact in facts.items():
+        frame[column] = [getattr(found[name], fact, None) for name in works]
     sizes = {"queries": len(queries), "database": len(database), "dimension": dimension}
     return frame.assign(processor=processor(), **sizes)
 
@@ -134,11 +124,13 @@ def growth(sizes: list[int], dimension: int) -> pd.DataFrame:
         queries, database, *where = synthetic(n, n, dimension)
         before, start = peak_memory(), time.perf_counter()
         evaluate(queries, database, *where, _THRESHOLD, device="cpu")
-        seconds = time.perf_counter() - start
-        rows.append(
-            {"images": n, "pairs": 2 * n * n, "seconds": seconds, "mebibytes": (peak_memory() - before) / 2**20}
-        )
+        seconds, grown = time.perf_counter() - start, (peak_memory() - before) / 2**20
+        rows.append({"images": n, "pairs": 2 * n * n, "seconds": seconds, "mebibytes": grown})
     return pd.DataFrame(rows).assign(dimension=dimension, processor=processor())
+
+
+def _unit(rows: np.ndarray) -> np.ndarray:
+    return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
 
 
 def _compile(dimension: int) -> None:
