@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import pandas as pd
 from IPython.display import HTML
 
 from artifact.pages.common import Titles, change, number, shown, table
-from artifact.studies.protocol import Decision
 
 
-def protocol_table(decisions: Sequence[Decision]) -> HTML:
+def protocol_table(decisions: pd.DataFrame) -> HTML:
     """Show the protocol: topic, what the paper says, what this artifact does."""
-    rows = [{"Topic": d.topic, "The paper": d.paper, "This artifact": d.ours} for d in decisions]
-    return table(rows, classes="findings")
+    headings = {"topic": "Topic", "paper": "The paper", "ours": "This artifact"}
+    return table(decisions.rename(columns=headings).to_dict("records"), classes="findings")
 
 
 def sensitivity_table(frame: pd.DataFrame, titles: Titles, *, k: int = 1) -> HTML:

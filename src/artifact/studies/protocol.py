@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable
-from dataclasses import dataclass
 from importlib.resources import files
 from itertools import product
 
@@ -16,19 +14,10 @@ from artifact.studies import evaluated
 from artifact.studies.common import PERCENT, Study
 
 
-@dataclass(frozen=True)
-class Decision:
-    """One choice: what it is about, what the paper says, what we do."""
-
-    topic: str
-    paper: str
-    ours: str
-
-
-def decisions() -> list[Decision]:
-    """Return every choice that the paper leaves open, in the order of the protocol page."""
+def decisions() -> pd.DataFrame:
+    """Return every choice that the paper leaves open: its ``topic``, what the ``paper`` says, and ``ours``, what we do."""
     with (files("artifact.studies") / "protocol.csv").open(encoding="utf-8", newline="") as stream:
-        return [Decision(**row) for row in csv.DictReader(stream)]
+        return pd.read_csv(stream, dtype=str, keep_default_na=False)
 
 
 def sensitivity(
