@@ -49,7 +49,8 @@ def look_at(manifest: Manifest, name: str) -> Preview:
     """Load a dataset once and describe it."""
     entry = manifest.dataset(name)
     dataset = data.load(manifest, name, entry.traversals)
-    facts = pair_facts(dataset, str(entry.threshold))
+    places = dataset.query.positions, dataset.database.positions, dataset.threshold
+    facts = {"threshold": str(entry.threshold), **counts(*places)}
     remarks = [*remarks_on(manifest, dataset), *_remarks_on_copies(dataset)]
     return Preview(dataset, traversals_table(dataset), facts, remarks)
 
@@ -85,11 +86,6 @@ def _of_images(traversal: Traversal) -> dict[str, Any]:
         "modes": ", ".join(sorted(set(modes))),
         "brightness": float(np.mean([measure(path)[0] for path in sample])),
     }
-
-
-def pair_facts(dataset: Dataset, threshold: str) -> dict[str, Any]:
-    """Return the :func:`counts` of the query–database pair of a dataset, with its ``threshold`` in words."""
-    return {"threshold": threshold, **counts(dataset.query.positions, dataset.database.positions, dataset.threshold)}
 
 
 def remarks_on(manifest: Manifest, dataset: Dataset) -> list[str]:
@@ -212,7 +208,7 @@ def counts(query_positions: np.ndarray, database_positions: np.ndarray, threshol
 
 
 def in_words(facts: dict[str, Any]) -> str:
-    """Return :func:`pair_facts` as one sentence.
+    """Return :func:`counts`, and the ``threshold`` in words, as one sentence.
 
     Examples
     --------

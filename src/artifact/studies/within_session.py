@@ -1,11 +1,10 @@
 """Beyond the paper: do incidental conditions inside one session take queries, and can they be suppressed?
 
 The paper leaves this open (its conclusion). Here a *statistic* of the images, for example brightness, splits the query
-traversal at its median into two conditions. Each query meets two pools of distractors of equal size, both from its own
-traversal: images on its own side of the median and images on the other side. If descriptors encode the statistic, the
-own side takes more queries. Nearby images share brightness and also look alike, so the same is measured with the split
-moved along the traversal (the sequence of labels turned by several offsets): that control keeps how labels cluster in
-space but not what they say about the image.
+traversal at its median. Each query meets two pools of distractors of equal size from its own traversal: its own side of
+the median and the other. If descriptors encode the statistic, the own side takes more queries. Nearby images share
+brightness and also look alike, so a control turns the sequence of labels along the traversal by several offsets: that
+keeps how labels cluster in space but not what they say about the image.
 """
 
 from __future__ import annotations
@@ -120,9 +119,8 @@ def _gaps(evaluation: Evaluation, values: np.ndarray, seed: int) -> dict[str, fl
         own, other = hits[label, queries], hits[1 - label, queries]
         gaps.append(other.astype(float) - own)
         shares.append((PERCENT * own.mean(), PERCENT * other.mean()))
-    low, high = (
-        end.item() for end in ends(replicates(gaps[0], evaluation.query_positions, evaluation.threshold, seed=seed))
-    )
+    sample = replicates(gaps[0], evaluation.query_positions, evaluation.threshold, seed=seed)
+    (low,), (high,) = ends(sample)
     control = [gap.mean() for gap in gaps[1:]]
     own, other = shares[0]
     return {
