@@ -158,8 +158,7 @@ def _rows(name: str, result: Evaluation, levels: Sequence[int], seed: int) -> It
     for k in levels:
         row: dict[str, Any] = {"what": name, "queries": result.n_queries, "K": k}
         for metric, interval in intervals(result, k, seed=seed).items():
-            values = (interval.value, interval.low, interval.high)
-            row |= {f"{metric}{end}": 100 * value for end, value in zip(("", "_low", "_high"), values, strict=True)}
+            row |= {f"{metric}{end}": 100 * value for end, value in zip(("", "_low", "_high"), interval, strict=True)}
         yield row
 
 

@@ -85,11 +85,9 @@ class Evaluation(Result):
             raise ValueError(f"k is {k}; this evaluation keeps sweeps for K up to {depth}: raise the option depth")
         return np.clip(k - self.database_counts.outranking, 0, k)
 
-    def retrieved(self, k: int = 1, *, distractors: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return indices and similarities of each query's top K; see :class:`~artifact.metrics.result.Result`."""
+    def _lists(self, *, distractors: bool) -> tuple[np.ndarray, np.ndarray]:
         counts = self.distractor_counts if distractors else self.database_counts
-        k = self._checked_length(k, counts.top_index.shape[1])
-        return counts.top_index[:, :k], counts.top_similarity[:, :k]
+        return counts.top_index, counts.top_similarity
 
     def per_query(self) -> pd.DataFrame:
         """Return one row per evaluated query; see :class:`~artifact.metrics.result.Result`."""

@@ -136,7 +136,6 @@ class Result(Protocol):
     def hits_by_distance(self, distances: Sequence[float], k: int = 1) -> np.ndarray:
         """Return ``(n, len(distances))`` bool: each query's hits behind :meth:`dar_by_distance`."""
 
-    @abstractmethod
     def retrieved(self, k: int = 1, *, distractors: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return each query's top K images, K up to the option ``retrieve``, without or with its allowed distractors.
 
@@ -144,6 +143,15 @@ class Result(Protocol):
         are fewer than K images. Similarities ``(n, k)`` float32 are the cosine, the dot product or the negative squared
         distance; scores of a second stage.
         """
+        indices, similarities = self._lists(distractors=distractors)
+        if not is_integer(k) or not 1 <= k <= indices.shape[1]:
+            kept = f"this evaluation keeps retrieval lists up to {indices.shape[1]}"
+            raise ValueError(f"k is {k!r}; {kept}: raise the option retrieve")
+        return indices[:, :k], similarities[:, :k]
+
+    @abstractmethod
+    def _lists(self, *, distractors: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return the whole lists of :meth:`retrieved`."""
 
     def per_query(self) -> pd.DataFrame:
         """Return one row per evaluated query.
@@ -206,12 +214,6 @@ class Result(Protocol):
             allowed = f"a list of numbers from the threshold {self.threshold:g} up"
             raise ValueError(f"distances are {distances!r}; allowed: {allowed}")
         return limits
-
-    def _checked_length(self, k: int, stored: int) -> int:
-        if not is_integer(k) or not 1 <= k <= stored:
-            kept = f"this evaluation keeps retrieval lists up to {stored}"
-            raise ValueError(f"k is {k!r}; {kept}: raise the option retrieve")
-        return int(k)
 
 
 def is_integer(value: Any) -> bool:

@@ -9,7 +9,7 @@ differences of replicates (paired). The same seed gives the same interval.
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import norm, t
@@ -20,8 +20,7 @@ COUNT = 1000  # resamples
 _TAILS = ((1 - 0.95) / 2, (1 + 0.95) / 2)
 
 
-@dataclass(frozen=True)
-class Interval:
+class Interval(NamedTuple):
     """A value with the ends of its confidence interval, all in the same unit."""
 
     value: float

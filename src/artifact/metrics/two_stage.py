@@ -76,11 +76,8 @@ class TwoStageEvaluation(Result):
         """Return ``(n, len(distances))`` bool: each query's hits with the distractors beyond each distance."""
         return self.sweep_of(self.pool_name).distance.below(-self._limits(distances)) <= self._checked_k(k)
 
-    def retrieved(self, k: int = 1, *, distractors: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return indices and second-stage scores of each query's top K images."""
-        indices, scores = self.lists[self.pool_name if distractors else ""]
-        k = self._checked_length(k, indices.shape[1])
-        return indices[:, :k], scores[:, :k]
+    def _lists(self, *, distractors: bool) -> tuple[np.ndarray, np.ndarray]:
+        return self.lists[self.pool_name if distractors else ""]
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Flatten into named arrays, for storage; sweeps are not among them."""

@@ -8,7 +8,7 @@ distance and K can be asked for afterwards. Unlike for one-stage methods the ran
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,11 +16,8 @@ from artifact.ranking.candidates import DISTRACTOR, POSITIVE, Images, Problem, S
 from artifact.ranking.compiled import compiled
 from artifact.ranking.one_pass import Options, draw_orders
 
-_STEPS = ("starts", "keys", "ranks")
 
-
-@dataclass(frozen=True)
-class Steps:
+class Steps(NamedTuple):
     """Ranks that change while distractors are added in order of a key: a step function for each row.
 
     Row ``i`` has the steps from ``starts[i]`` up to ``starts[i + 1]``: from a distractor's key on (inclusive), the
@@ -43,8 +40,7 @@ class Steps:
         return ranks
 
 
-@dataclass(frozen=True)
-class Sweep:
+class Sweep(NamedTuple):
     """Ranks of every query for every number of distractors, in nested random draws, and every minimum distance.
 
     Rows of ``number`` are queries × draws; the key is a distractor's place in the draw's random order. Rows of
@@ -57,13 +53,14 @@ class Sweep:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Flatten into named arrays, for storage."""
-        named = {f"{p}_{n}": getattr(getattr(self, p), n) for p in ("number", "distance") for n in _STEPS}
-        return {**named, "draws": np.array(self.draws)}
+        named = {f"number_{name}": array for name, array in self.number._asdict().items()}
+        named |= {f"distance_{name}": array for name, array in self.distance._asdict().items()}
+        return named | {"draws": np.array(self.draws)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Sweep:
         """Rebuild from :meth:`arrays`."""
-        number, distance = (Steps(*(arrays[f"{p}_{n}"] for n in _STEPS)) for p in ("number", "distance"))
+        number, distance = (Steps(*(arrays[f"{by}_{n}"] for n in Steps._fields)) for by in ("number", "distance"))
         return cls(number, distance, int(arrays["draws"]))
 
 
@@ -98,12 +95,11 @@ def sweep(
 
 def joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """Return the arrays of a whole sweep from those of its parts, in order of their queries."""
-    whole = {
-        name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name.endswith(("_keys", "_ranks"))
-    }
-    for sweep_by in ("number", "distance"):
-        steps = np.concatenate([np.diff(part[f"{sweep_by}_starts"]) for part in parts])
-        whole[f"{sweep_by}_starts"] = np.concatenate([[0], np.cumsum(steps)])
+    names = [name for name in parts[0] if name.endswith(("_keys", "_ranks"))]
+    whole = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    for name in ("number_starts", "distance_starts"):
+        steps = np.concatenate([np.diff(part[name]) for part in parts])
+        whole[name] = np.concatenate([[0], np.cumsum(steps)])
     return whole | {"draws": parts[0]["draws"]}
 
 
