@@ -83,9 +83,9 @@ def _evaluate_both(
         found = {}
         for name, one in described.items():
             views = {"single": erasure.single[name], "multi": erasure.composed}
-            found[name] = fitted.evaluate_region(
-                one, fitted.split_of(one.dataset, how.fraction), views, seed=how.seed, draws=0, depth=1
-            )
+            where = fitted.split_of(one.dataset, how.fraction)
+            options = {"views": views, "seed": how.seed, "draws": 0, "depth": 1}
+            found[name] = evaluate(*fitted.evaluation_region(one, where), **options)
         return found
 
     key = fitted.key_of("single and multi", list(described.values()), [suppressor, list(described), *astuple(how)])

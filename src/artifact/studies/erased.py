@@ -11,6 +11,7 @@ import pandas as pd
 from artifact.datasets.positives import positives_of
 from artifact.extraction.described import Described, describe
 from artifact.manifest import Manifest
+from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.stored import stored
 from artifact.ranking.one_pass import ORIGINAL
@@ -67,7 +68,8 @@ def what_is_erased(
         inlp, leace = fitted.fit(X, condition, fitted.LOW_RANK, iterations=iterations, seed=seed).values()
         steps = {f"INLP {i}": inlp.at(i) for i in range(1, iterations + 1)}
         # The last iteration is the fitted INLP; the ones between need no retrieval lists but share the pass.
-        found = fitted.evaluate_region(described, region, {"LEACE": leace, **steps}, retrieve=1, seed=seed)
+        options = {"views": {"LEACE": leace, **steps}, "retrieve": 1, "seed": seed}
+        found = evaluate(*fitted.evaluation_region(described, region), **options)
         results: dict[str, Any] = {"views": found, "accuracies": inlp.accuracies_}
         for view, transform in ((ORIGINAL, None), ("LEACE", leace), ("INLP", inlp)):
             for kind, values in _similarities(described, region, transform, seed).items():

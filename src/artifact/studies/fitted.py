@@ -98,11 +98,6 @@ def split_of(
     return split(*places, fraction, evaluation_fraction=evaluation_fraction, where=where)
 
 
-def evaluate_region(described: Described, where: Split, views: Mapping[str, Any], **options: Any) -> Evaluation:
-    """Evaluate the original and every view on the evaluation region; the distractors are the evaluation queries."""
-    return evaluate(*evaluation_region(described, where), views=views, **options)
-
-
 def evaluate_standardised(described: Described, where: Split, standardise: STD, **options: Any) -> Evaluation:
     """Evaluate the evaluation region under STD; distractors carry the query condition."""
     # Copies, which may be changed in place: they can be as large as the memory allows.
@@ -119,9 +114,9 @@ def compare(manifest: Manifest, dataset: str, method: str, **fitting: Any) -> Su
 
     def compute() -> dict[str, Any]:
         fitted = fit(*fitting_data(described, where), iterations=how.iterations, seed=how.seed)
-        views = evaluate_region(described, where, {name: fitted[name] for name in LOW_RANK}, seed=how.seed)
         standardised = evaluate_standardised(described, where, fitted["STD"], seed=how.seed)
         region = evaluation_region(described, where)
+        views = evaluate(*region, views={name: fitted[name] for name in LOW_RANK}, seed=how.seed)
         with store.stage("fit"):
             probes = [probe(*region, transform=fitted.get(name), seed=how.seed) for name in (ORIGINAL, *METHODS)]
         return {"views": views, "STD": standardised, "probes": np.array(probes, np.float64)}
@@ -153,7 +148,8 @@ def by_fraction(
             views |= {f"{name} {fraction!r}": fitted[name] for name in LOW_RANK}
             evaluation = evaluate_standardised(described, region, fitted["STD"], seed=seed)
             standardised[f"STD {fraction!r}"] = evaluation
-        return {"views": evaluate_region(described, next(iter(usable.values())), views, seed=seed)} | standardised
+        half = evaluation_region(described, next(iter(usable.values())))  # of every fraction
+        return {"views": evaluate(*half, views=views, seed=seed)} | standardised
 
     results = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "fractions"})
     found = {(ORIGINAL, 0.0): results["views"]}
