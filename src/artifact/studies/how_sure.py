@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pandas as pd
 from scipy.stats import rankdata
@@ -35,13 +33,13 @@ def separable(study: Study, metric: str) -> pd.DataFrame:
     for all pairs, Holm), ``certain``.
     """
     means, sample = with_means(study.table), mean_replicates(study)[metric]
-    rows, values = [], means[metric].to_numpy()
-    pairs = [(i, j) if values[i] >= values[j] else (j, i) for i, j in itertools.combinations(range(len(values)), 2)]
-    for i, j in pairs:
-        low, high = ends(sample[i] - sample[j])
-        names = {"better": means["method"][i], "worse": means["method"][j]}
-        rows.append(names | {"difference": values[i] - values[j], "low": float(low), "high": float(high)})
-    table = pd.DataFrame(rows, columns=["better", "worse", "difference", "low", "high"])
-    drawn = [sample[i] - sample[j] for i, j in pairs]
-    table["p"] = holm(p_values(table["difference"].to_numpy(), np.stack(drawn))) if drawn else []
+    names, values = means["method"].to_numpy(), means[metric].to_numpy()
+    i, j = np.triu_indices(len(values), 1)
+    better, worse = np.where(values[i] >= values[j], (i, j), (j, i))
+    difference, drawn = values[better] - values[worse], sample[better] - sample[worse]
+    low, high = ends(drawn)
+    table = pd.DataFrame(
+        {"better": names[better], "worse": names[worse], "difference": difference, "low": low, "high": high}
+    )
+    table["p"] = holm(p_values(difference, drawn))
     return table.assign(certain=table["p"] < CERTAIN)
