@@ -60,16 +60,15 @@ def _rows(
     result: Result, data: Dataset, method: str, view: str, queries: np.ndarray, database: np.ndarray
 ) -> pd.DataFrame:
     """One evaluation; ``queries`` and ``database`` are the images of each traversal that took part."""
-    found, files = result.per_query(), np.array(data.query.image_names)
-    rows = pd.DataFrame({"query": files[queries[found["query"]]]})
-    rows["rank"], rows["rank_with_distractors"] = found["rank"], found["rank_with_distractors"]
+    found = (
+        result.per_query().round({"similarity": 5, "distance": 2}).assign(dataset=data.name, method=method, view=view)
+    )
+    found["query"] = np.array(data.query.image_names)[queries[found["query"]]]
     if "best_positive" in found:
-        rows["best_positive"] = np.array(data.database.image_names)[database[found["best_positive"]]]
-        rows["similarity"], rows["distance"] = found["similarity"].round(5), found["distance"].round(2)
-    rows["outranking"] = found["rank_with_distractors"] - 1
-    rows["outranking_distractors"] = found["rank_with_distractors"] - found["rank"]
-    rows.insert(0, "dataset", data.name)
-    return rows.assign(method=method, view=view).reindex(columns=list(COLUMNS))
+        found["best_positive"] = np.array(data.database.image_names)[database[found["best_positive"]]]
+    found["outranking"] = found["rank_with_distractors"] - 1
+    found["outranking_distractors"] = found["rank_with_distractors"] - found["rank"]
+    return found.reindex(columns=list(COLUMNS))
 
 
 def taken(manifest: Manifest, name: str, method: str, most: int, *, seed: int = 0) -> tuple[Measured, pd.DataFrame]:
