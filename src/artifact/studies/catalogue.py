@@ -10,13 +10,13 @@ import pandas as pd
 
 from artifact import datasets as data
 from artifact import methods
-from artifact.datasets.positives import positives_of
 from artifact.extraction import extract, timing
 from artifact.manifest import Manifest
 from artifact.manifest.entries import Preprocessing
 from artifact.methods import parity, weights
 from artifact.studies import reported
 from artifact.studies.common import PERCENT, Study
+from artifact.studies.preview import counts
 
 
 def methods_of_the_paper(manifest: Manifest) -> pd.DataFrame:
@@ -83,20 +83,19 @@ def datasets_table(manifest: Manifest, names: Iterable[str]) -> Study:
     rows = []
     for name in names:
         entry, loaded = manifest.dataset(name), data.load(manifest, name)
-        starts, _ = positives_of(loaded.query.positions, loaded.database.positions, loaded.threshold)
-        counts = np.diff(starts)
+        found = counts(loaded.query.positions, loaded.database.positions, loaded.threshold)
         rows.append(
             {
                 "dataset": name,
                 "title": entry.title,
                 "query": loaded.query_name,
                 "database": loaded.database_name,
-                "queries": len(loaded.query),
-                "evaluated": int((counts > 0).sum()),
-                "database_images": len(loaded.database),
+                "queries": found["queries"],
+                "evaluated": found["evaluated"],
+                "database_images": found["database"],
                 "threshold": str(entry.threshold),
                 "shift": entry.shift,
-                "positives": float(np.median(counts[counts > 0])) if counts.any() else 0.0,
+                "positives": found["median"],
                 "images": "real" if loaded.real else "rendered" if entry.kind == "city" else "made descriptors",
                 "mirrors": entry.mirrors or "",
                 "licence": entry.licence,
@@ -117,12 +116,11 @@ def beside_the_paper(manifest: Manifest, measured: pd.DataFrame) -> pd.DataFrame
     rows = []
     for row in reported.table("tab01").to_dict("records"):
         name, entry = entries.get(row["dataset"], (None, None))
-        row |= {"evaluated": reported.EVALUATED_QUERIES[row["dataset"]], "here": "not in this run"}
         found = ours.loc[name] if name in ours.index else None
-        for key in ("queries", "evaluated", "database_images"):
-            listed = row[key]
-            row[f"{key}_here"] = "–" if found is None else f"{found[key]:,}{'' if found[key] == listed else ' ≠'}"
+        row["evaluated"] = reported.EVALUATED_QUERIES[row["dataset"]]
         row["here"] = "not in this run" if found is None else found["images"]
+        for key in ("queries", "evaluated", "database_images"):
+            row[f"{key}_here"] = "–" if found is None else f"{found[key]:,}{'' if found[key] == row[key] else ' ≠'}"
         row |= {"licence": entry.licence, "citation": entry.citation} if entry else {"licence": "–", "citation": "–"}
         rows.append(row | {"source": entry.sources[0].url if entry and entry.sources else ""})
     return pd.DataFrame(rows)
