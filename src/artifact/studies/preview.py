@@ -98,8 +98,7 @@ def remarks_on(manifest: Manifest, dataset: Dataset) -> list[str]:
     found = [text for traversal in pair for text in _remarks_on_files(entry, traversal)]
     if all(traversal.has_images for traversal in pair):
         digests = [store.digest_of_files(traversal.image_paths(), manifest.cache) for traversal in pair]
-        both = set(digests[0]) & set(digests[1])
-        if both:
+        if both := set(digests[0]) & set(digests[1]):
             found.append(f"{len(both)} images are both query and database: their places are found by themselves")
         for traversal, ours in zip(pair, digests, strict=True):
             if len(ours) > 1 and len(set(ours)) == 1:
@@ -148,11 +147,8 @@ def _remarks_on_copies(dataset: Dataset) -> list[str]:
         near = np.argsort(distances, kind="stable")[:_NEAREST]
         ours = _small(queries[i])
         copies += any(np.abs(ours - _small(database[j])).mean() < _SAME_PICTURE for j in near)
-    if not copies:
-        return []
-    return [
-        f"{copies} of {len(sample)} query images look like copies of a database image: their places are found by themselves"
-    ]
+    found = f"{copies} of {len(sample)} query images look like copies of a database image: their places are found by themselves"
+    return [found] if copies else []
 
 
 def _small(path: Path) -> np.ndarray:

@@ -97,7 +97,6 @@ def require(manifest: Manifest, profile: str) -> None:
             )
         for method in entry.methods:
             if manifest.method(method).kind == "paper" and (standing_for, method) not in known:
-                raise ManifestError(
-                    f"{manifest.path}: the paper reports nothing for the method {method!r} on {standing_for}; a method of "
-                    f"kind 'paper' is one of {quoted(method_titles())}"
-                )
+                found = f"the paper reports nothing for the method {method!r} on {standing_for}"
+                allowed = f"a method of kind 'paper' is one of {quoted(method_titles())}"
+                raise ManifestError(f"{manifest.path}: {found}; {allowed}")
