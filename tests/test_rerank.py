@@ -24,11 +24,10 @@ from artifact.extraction import extract, parts
 from artifact.extraction.stored import descriptor_key, second_stage_key
 from artifact.manifest.entries import ManifestError
 from artifact.methods.preprocessing import prepare
-from artifact.metrics import two_stage, two_stage_sweeps
+from artifact.metrics import two_stage
 from artifact.metrics.evaluate import evaluate
 from artifact.metrics.statistics import intervals
-from artifact.metrics.two_stage import TwoStageEvaluation, evaluate_two_stage
-from artifact.metrics.two_stage_sweeps import Sweep
+from artifact.metrics.two_stage import Sweep, TwoStageEvaluation, evaluate_two_stage
 from artifact.ranking import candidates, matching, one_pass
 from artifact.ranking.matching import LocalMatcher
 from artifact.studies import evaluated
@@ -373,7 +372,7 @@ def test_parts_of_the_queries_put_together_are_the_whole(seed):
     for found, expected in (
         (two_stage.joined([part.arrays() for part in parts]), whole.arrays()),
         (
-            two_stage_sweeps.joined([part.sweep_of(part.pool_name).arrays() for part in parts]),
+            two_stage.joined([part.sweep_of(part.pool_name).arrays() for part in parts]),
             whole.sweep_of(whole.pool_name).arrays(),
         ),
     ):

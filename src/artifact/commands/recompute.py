@@ -20,8 +20,7 @@ from artifact.manifest import CACHE_VARIABLE, Manifest
 from artifact.manifest.entries import ManifestError
 from artifact.metrics import stored
 from artifact.metrics.evaluation import Evaluation
-from artifact.metrics.two_stage import TwoStageEvaluation
-from artifact.metrics.two_stage_sweeps import Sweep
+from artifact.metrics.two_stage import Sweep, TwoStageEvaluation
 
 Arrays = Mapping[str, np.ndarray]
 

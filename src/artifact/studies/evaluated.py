@@ -20,7 +20,7 @@ from artifact.extraction.described import Described, describe
 from artifact.extraction.stored import second_stage_key
 from artifact.manifest import Manifest
 from artifact.manifest.entries import ManifestError, MethodEntry
-from artifact.metrics import two_stage, two_stage_sweeps
+from artifact.metrics import two_stage
 from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.result import Result
@@ -88,8 +88,8 @@ def evaluation(
         both = TwoStage(manifest, dataset, method, names, pool_size, seed, device)
 
         @functools.cache
-        def sweep_of(pool: str) -> two_stage_sweeps.Sweep:
-            return two_stage_sweeps.Sweep.from_arrays(both.sweep(pool, draws))
+        def sweep_of(pool: str) -> two_stage.Sweep:
+            return two_stage.Sweep.from_arrays(both.sweep(pool, draws))
 
         result = two_stage.TwoStageEvaluation.from_arrays(both.ranking(retrieve), sweep_of)
         score: Literal["cosine", "matches"] = "matches" if both.by_local_features else "cosine"
@@ -214,7 +214,7 @@ class TwoStage:
         options |= {"candidates": self._entry.rerank, "seed": self.seed, "rows": rows}
         if "pool" in options:
             pool = self._pool(options.pop("pool"))
-            return two_stage_sweeps.sweep(*pair, scores, pool, **options).arrays()
+            return two_stage.sweep(*pair, scores, pool, **options).arrays()
         pools = {name: self._pool(name) for name in self.names}
         return two_stage.evaluate_two_stage(*pair, scores, pools, **options).arrays()
 
@@ -226,8 +226,7 @@ class TwoStage:
             parts = self._parts()
             if len(parts) == 1:
                 return self._rank(parts[0], **options)
-            module = two_stage_sweeps if "pool" in options else two_stage
-            return module.joined([self._part(stage, rows, **options) for rows in parts])
+            return two_stage.joined([self._part(stage, rows, **options) for rows in parts])
 
         return self._stored(stage, compute, **options)
 
