@@ -69,11 +69,12 @@ def distractor_distance(
         result = measured.evaluation
         hits = result.hits_by_distance(distances, k)
         found.append(replicated(hits, result, dataset, seed))
-        left = _distractors_left(result, distances)
+        pool, queries = cKDTree(result.pool_positions[result.pool_name]), cKDTree(result.query_positions)
+        left = result.n_distractors - pool.count_neighbors(queries, distances) / result.n_queries
         for distance, share, number in zip(map(float, distances), _shares(hits, found[-1]), left, strict=True):
             row = {"dataset": dataset, "title": title, "method": method, "distance": distance, **share}
-            row["distractors"] = number
-            rows.append(row | {"reported": expected.get((method, round(distance, 6)), np.nan)})
+            printed = expected.get((method, round(distance, 6)), np.nan)
+            rows.append(row | {"distractors": number, "reported": printed})
         inputs += measured.inputs
     return Study(pd.DataFrame(rows), tuple(inputs), {"DAR": np.concatenate(found)})
 
@@ -102,14 +103,6 @@ def distances_beyond(threshold: float, distances: Iterable[float]) -> list[float
     return [threshold, *(distance for distance in distances if threshold < distance < np.inf), np.inf]
 
 
-def _distractors_left(result: Result, distances: Sequence[float]) -> list[float]:
-    """Mean number of distractors of a query beyond each distance."""
-    tree = cKDTree(result.pool_positions[result.pool_name])
-    n = result.n_distractors
-    within = [tree.count_neighbors(cKDTree(result.query_positions), d) for d in distances if np.isfinite(d)]
-    return [n - count / result.n_queries for count in within] + [0.0] * (len(distances) - len(within))
-
-
 def distractor_condition(
     manifest: Manifest, dataset: str, methods: Iterable[str], *, k: int = 1, seed: int = 0
 ) -> Study:
@@ -122,7 +115,8 @@ def distractor_condition(
     images were drawn), ``reported``.
     """
     names, size = pools_of_conditions(manifest, dataset)
-    entry = manifest.dataset(dataset)
+    traversals = manifest.dataset(dataset).traversals
+    pools = [(name, traversals[name].condition, size) for name in names] + [("none", "none", 0)]
     expected = _reported_curves(manifest, dataset, k, "fig07", "distractor_condition")
     rows, inputs, found = [], [], []
     for method in methods:
@@ -133,12 +127,10 @@ def distractor_condition(
         chances, spread = zip(*(_of_size(result.pool(name), size, k) for name in names), strict=True)
         columns = np.stack([*chances, result.hits(k, distractors=False)], axis=1).astype(np.float64)
         found.append(replicated(columns, result, dataset, seed))
-        spread = (*spread, {})
-        for name, share, drawn in zip((*names, "none"), _shares(columns, found[-1]), spread, strict=True):
-            condition = "none" if name == "none" else entry.traversals[name].condition
-            row = {"method": method, "traversal": name, "condition": condition}
-            row["pool_size"] = 0 if name == "none" else size
-            row |= share | {"draw_low": share["DAR"], "draw_high": share["DAR"]} | drawn
+        found_shares = _shares(columns, found[-1])
+        for (name, condition, number), share, drawn in zip(pools, found_shares, (*spread, {}), strict=True):
+            row = {"method": method, "traversal": name, "condition": condition, "pool_size": number, **share}
+            row |= {"draw_low": share["DAR"], "draw_high": share["DAR"]} | drawn
             rows.append(row | {"reported": expected.get((method, condition), np.nan)})
         inputs += measured.inputs
     return Study(pd.DataFrame(rows), tuple(inputs), {"DAR": np.concatenate(found)})
@@ -149,9 +141,8 @@ def pools_of_conditions(manifest: Manifest, dataset: str) -> tuple[list[str], in
     entry = manifest.dataset(dataset)
     if not entry.distractor_traversals:
         able = ", ".join(name for name, other in manifest.datasets.items() if other.distractor_traversals)
-        raise ValueError(
-            f"dataset {dataset!r} names no distractor_traversals in the manifest; those that do: {able or 'none'}"
-        )
+        found = f"dataset {dataset!r} names no distractor_traversals in the manifest"
+        raise ValueError(f"{found}; those that do: {able or 'none'}")
     names = [entry.query, *entry.distractor_traversals]
     loaded = data.load(manifest, dataset, names)
     evaluated_queries = evaluated.with_positives(loaded)
