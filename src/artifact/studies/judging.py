@@ -1,17 +1,9 @@
 """The rules by which a measured number is held against the one that the paper prints, and a claim against a run.
 
-``equal``
-    The same number of queries, or equal after rounding to the digits that the paper prints.
-``agrees``
-    Not equal, but the reported value lies in the 95 % interval of the measured one and within 1 percentage point of it
-    (counts of pairs: within 1 pair).
-``differs``
-    Outside both.
-``cannot tell``
-    Anything else; the reason is given in words.
-
-The paper's scatter plot (Fig. 5) prints R@1 and DAR@1 with two decimals, from which the number of queries follows; its
-Table III prints RSR@1 with three significant digits.
+A number is *equal* to the paper's if it is the same number of queries (the scatter plot prints two decimals, from which it
+follows), or equal after rounding to the printed digits. It *agrees* if the reported value lies in the 95 % interval of the
+measured one and within 1 percentage point of it (counts of pairs: 1 pair), *differs* if it is outside both, and for anything
+else one *cannot tell*; the reason is given in words.
 
 Claims in words get *agrees* where the interval of what they are about lies on their side, *differs* where it lies on the
 other, and *cannot tell* between.
@@ -122,8 +114,7 @@ def above(value: float, sample: np.ndarray, bound: float, unit: str = "pp") -> J
     >>> above(5.0, np.linspace(4, 6, 100), 0).verdict, above(5.0, np.linspace(-1, 11, 100), 0).verdict
     ('agrees', 'cannot tell')
     """
-    low, high = (float(end) for end in statistics.ends(sample))
-    return _above(value, low, high, bound, unit)
+    return _above(value, *statistics.ends(sample), bound, unit)
 
 
 def mostly(found: np.ndarray) -> Judged:
@@ -164,7 +155,7 @@ def _above(value: float, low: float, high: float, bound: float, unit: str) -> Ju
 
 def within(value: float, sample: np.ndarray, margin: float = CLOSE_PP, resolution: float = math.nan) -> Judged:
     """Judge the claim that a number is between ``-margin`` and ``margin``; ``resolution`` is the worth of a query in pp."""
-    low, high = (float(end) for end in statistics.ends(sample))
+    low, high = statistics.ends(sample)
     interval = f"{value:+.2f} pp, 95 % interval [{low:.2f}, {high:.2f}]"
     if math.isnan(low) or math.isnan(value):
         return Judged("cannot tell", "nothing could be measured")
@@ -203,9 +194,8 @@ def all_above(values: np.ndarray, samples: np.ndarray, bound: float) -> Judged:
         return Judged("agrees", f"all {len(values)} intervals are above {bound:g} pp")
     below = (values < bound) & (statistics.holm(statistics.p_values(values - bound, samples - bound)) < CERTAIN)
     if below.any():
-        return Judged(
-            "differs", f"{below.sum()} of {len(values)} below {bound:g} pp beyond chance (Holm over {len(values)})"
-        )
+        why = f"{below.sum()} of {len(values)} below {bound:g} pp beyond chance (Holm over {len(values)})"
+        return Judged("differs", why)
     return Judged("cannot tell", f"{(low <= bound).sum()} of {len(values)} intervals reach down to {bound:g} pp")
 
 
