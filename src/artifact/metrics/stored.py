@@ -46,7 +46,7 @@ def path_of(manifest: Manifest, key: str) -> Path:
 
 def is_stored(manifest: Manifest, key: str) -> bool:
     """Whether results of a content key are stored."""
-    return path_of(manifest, key).with_suffix(".json").exists()
+    return store.record_path(path_of(manifest, key)).exists()
 
 
 def read(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:

@@ -136,7 +136,6 @@ def _differences(views: Mapping[str, Evaluation], k: int) -> dict[str, float]:
 
 
 def _is_pair(manifest: Manifest, other: str, name: str, pair: Sequence[str]) -> bool:
-    """Whether a dataset is fitted on just this pair of traversals."""
     entry = manifest.dataset(other)
     same = (entry.root or other) == (manifest.dataset(name).root or name)
     return same and {entry.query, entry.database} == set(pair)

@@ -94,7 +94,6 @@ def what_is_erased(
 
 
 def _similarities(described: Described, region: Split, transform: Any, seed: int) -> dict[str, np.ndarray]:
-    """Cosines of random pairs of each kind."""
     queries, database, places, other_places, threshold = fitted.evaluation_region(described, region)
     if transform is not None:
         queries, database = transform.transform(queries), transform.transform(database)

@@ -160,7 +160,6 @@ def _bare(queries: Any, database: Any, multiply: Callable[[Any, Any], Any]) -> N
 
 
 def _faiss(queries: np.ndarray, database: np.ndarray) -> Any:
-    """Return an index of the augmented database, if faiss is installed."""
     try:
         import faiss
     except ImportError:

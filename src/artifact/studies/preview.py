@@ -117,7 +117,6 @@ def remarks_on(manifest: Manifest, dataset: Dataset) -> list[str]:
 
 
 def _remarks_on_files(entry: DatasetEntry, traversal: Traversal) -> list[str]:
-    """Files that are no images, and positions that jump."""
     found = []
     if traversal.folder is not None and entry.kind == "folder":
         others = [file for file in contents(traversal.folder)[1] if Path(file).name not in _SYSTEM]

@@ -59,7 +59,6 @@ def of_recall(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _recall_cells(row: dict[str, Any]) -> list[dict[str, Any]]:
-    """R@1, DAR@1 and RSR@1 of a method on a dataset."""
     cells = []
     for metric in METRICS:
         expected, facts = row[f"reported_{metric}"], {}

@@ -111,7 +111,6 @@ def _pool(turn: int, side: int) -> str:
 
 
 def _gaps(evaluation: Evaluation, values: np.ndarray, seed: int) -> dict[str, float]:
-    """Own and other side with the gap between them, and the gaps of the control."""
     queries, gaps, shares = np.arange(evaluation.n_queries), [], []
     for turn, labels in enumerate(turned(sides(values))):
         hits = np.stack([evaluation.pool(_pool(turn, side)).hits(1, distractors=True) for side in (0, 1)])
@@ -139,7 +138,6 @@ def _gaps(evaluation: Evaluation, values: np.ndarray, seed: int) -> dict[str, fl
 def _evaluations(
     manifest: Manifest, described: Described, region: Split, values: np.ndarray, statistic: str, how: Fitting
 ) -> dict[str, Evaluation]:
-    """Evaluate the original and the suppressed descriptors against the pools of both sides of all turns."""
     settings = [statistic, values, region.fit_queries, CONTROLS, how.iterations, how.seed]
     key = fitted.key_of("within", [described], settings)
 
