@@ -131,9 +131,9 @@ def test_two_stage_methods_are_not_suppressed(tmp_path):
 
 
 def test_scores_are_in_their_own_unit():
-    measured = studies.evaluated.Measured(None, None, "x", (), "matches")
+    measured = studies.evaluated.Measured(None, None, (), "matches")
     assert galleries._score(measured, 412.0) == "412 matches"
-    assert galleries._score(studies.evaluated.Measured(None, None, "x", ()), 0.5) == "cosine 0.500"
+    assert galleries._score(studies.evaluated.Measured(None, None, ()), 0.5) == "cosine 0.500"
 
 
 def test_maps_are_seen_from_above():

@@ -44,7 +44,6 @@ class Measured:
 
     evaluation: Result
     dataset: Dataset
-    method: str
     inputs: tuple[dict[str, Any], ...]
     score: Literal["cosine", "matches"] = "cosine"
 
@@ -93,7 +92,7 @@ def evaluation(
 
         result = two_stage.TwoStageEvaluation.from_arrays(both.ranking(retrieve), sweep_of)
         score: Literal["cosine", "matches"] = "matches" if both.by_local_features else "cosine"
-        return Measured(result, both.described.dataset, method, both.described.inputs, score)
+        return Measured(result, both.described.dataset, both.described.inputs, score)
     described = describe(manifest, dataset, method, names, device=device)
     loaded = described.dataset
     options = {"retrieve": retrieve, "seed": seed, "similarity": similarity, "draws": draws}
@@ -109,7 +108,7 @@ def evaluation(
         return {"evaluation": evaluate(*values, *places, pools or None, where or None, device=device, **options)}
 
     result = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "ranking"})
-    return Measured(result["evaluation"], loaded, method, described.inputs)
+    return Measured(result["evaluation"], loaded, described.inputs)
 
 
 def with_positives(dataset: Dataset) -> np.ndarray:
