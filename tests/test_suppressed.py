@@ -184,7 +184,7 @@ def test_fractions_start_at_the_original_and_share_one_evaluation_half(made):
     table = study.table
     assert set(table["suppression"]) == {"INLP", "LEACE", "STD"}
     assert (table.loc[table["fraction"] == 0, ["change_R", "change_DAR"]] == 0).all(axis=None)
-    half = fitted.split_of(one.dataset, 0.5, 0.5)
+    half = fitted.split_of(one.dataset, 0.5, evaluation_fraction=0.5)
     X, condition = fitted.fitting_data(one, half)
     expected = by_hand(one, half, LEACE().fit(X, condition)).dar(1) - by_hand(one, half).dar(1)
     found = table.query("suppression == 'LEACE' and fraction == 0.5")["change_DAR"].item()

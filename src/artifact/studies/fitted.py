@@ -26,7 +26,7 @@ from artifact.suppression.inlp import INLP
 from artifact.suppression.leace import LEACE
 from artifact.suppression.lowrank import LowRankMap, compose
 from artifact.suppression.probe import Guardedness, probe
-from artifact.suppression.regions import Split, Where, split
+from artifact.suppression.regions import Split, split
 from artifact.suppression.std import STD
 
 REVISION = 2  # raise when a study of suppression gives another number from the same fits
@@ -90,12 +90,9 @@ def fit(
         return {name: estimators[name].fit(X, condition) for name in names}
 
 
-def split_of(
-    dataset: Dataset, fraction: float, evaluation_fraction: float | None = None, where: Where = "centre"
-) -> Split:
-    """Split the pair of a dataset by its positions."""
-    places = dataset.query.positions, dataset.database.positions, dataset.threshold
-    return split(*places, fraction, evaluation_fraction=evaluation_fraction, where=where)
+def split_of(dataset: Dataset, fraction: float, **options: Any) -> Split:
+    """Split the pair of a dataset by its positions, with the options of :func:`artifact.split`."""
+    return split(dataset.query.positions, dataset.database.positions, dataset.threshold, fraction, **options)
 
 
 def evaluate_standardised(described: Described, where: Split, standardise: STD, **options: Any) -> Evaluation:
@@ -137,7 +134,7 @@ def by_fraction(
     region has fewer than two images of a condition is left out.
     """
     described = describe(manifest, dataset, method)
-    regions = {fraction: split_of(described.dataset, fraction, 0.5) for fraction in fractions}
+    regions = {fraction: split_of(described.dataset, fraction, evaluation_fraction=0.5) for fraction in fractions}
     usable = {f: r for f, r in regions.items() if min(len(r.fit_queries), len(r.fit_database)) >= 2}
     key = key_of("fractions", [described], [list(usable), iterations, seed])
 
