@@ -25,12 +25,12 @@ _NOISE = 0.1  # length of what is added to a real descriptor, whose length is 1
 COUNTS, LISTS, NO_DISTRACTORS = "counts and both sweeps", "with retrieval lists of 10", "without distractors"
 
 
-def synthetic(n_queries: int, n_database: int, dimension: int, seed: int = 0) -> Made:
+def synthetic(n_queries: int, n_database: int, dimension: int) -> Made:
     """Return unit descriptors and positions of a drive of about a metre a frame, with some condition in them.
 
     Queries share a direction, so that part of the distractors beat the positives, as real distractors do.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     database = _unit(rng.standard_normal((n_database, dimension), dtype=np.float32))
     along_queries, along_database = np.arange(n_queries) * 1.0, np.linspace(0, n_queries, n_database)
     nearest = np.searchsorted(along_database, along_queries).clip(max=n_database - 1)

@@ -153,7 +153,7 @@ def _above(value: float, low: float, high: float, bound: float, unit: str) -> Ju
     return Judged("cannot tell", f"{interval}, holds {bound:g}")
 
 
-def within(value: float, sample: np.ndarray, margin: float = CLOSE_PP, resolution: float = math.nan) -> Judged:
+def within(value: float, sample: np.ndarray, margin: float, resolution: float) -> Judged:
     """Judge the claim that a number is between ``-margin`` and ``margin``; ``resolution`` is the worth of a query in pp."""
     low, high = statistics.ends(sample)
     interval = f"{value:+.2f} pp, 95 % interval [{low:.2f}, {high:.2f}]"
@@ -163,8 +163,8 @@ def within(value: float, sample: np.ndarray, margin: float = CLOSE_PP, resolutio
         return Judged("agrees", f"{interval}, within {margin:g} pp")
     if low > margin or high < -margin:
         return Judged("differs", f"{interval}, beyond {margin:g} pp")
-    queries = "" if math.isnan(resolution) else f"; a query is worth up to {resolution:.2g} pp of it"
-    return Judged("cannot tell", f"{interval}, reaches beyond {margin:g} pp{queries}")
+    why = f"{interval}, reaches beyond {margin:g} pp; a query is worth up to {resolution:.2g} pp of it"
+    return Judged("cannot tell", why)
 
 
 def some_above(values: np.ndarray, samples: np.ndarray, bound: float) -> tuple[Judged, np.ndarray]:
