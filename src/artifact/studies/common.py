@@ -88,9 +88,9 @@ def replicated_hits(evaluation: Result, k: int, dataset: str, seed: int) -> np.n
     return replicated(np.stack(hits, axis=1), evaluation, dataset, seed)
 
 
-def by_column(columns: Sequence[str], sample: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the replicates of each column from those of each row, ``(columns, count)``."""
-    return dict(zip(columns, np.stack(sample, axis=1), strict=True)) if sample else {}
+def by_metric(sample: Sequence[np.ndarray], prefix: str = "") -> dict[str, np.ndarray]:
+    """Return the replicates of the columns ``R`` and ``DAR``, with a prefix, from those of each row, ``(2, count)``."""
+    return dict(zip((f"{prefix}R", f"{prefix}DAR"), np.stack(sample, axis=1), strict=True)) if sample else {}
 
 
 def shares(sample: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

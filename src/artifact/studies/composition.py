@@ -17,7 +17,7 @@ from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.stored import stored
 from artifact.studies import fitted, reported
-from artifact.studies.common import PERCENT, Study, by_column, cell_of, replicated_hits, single_stage
+from artifact.studies.common import PERCENT, Study, by_metric, cell_of, replicated_hits, single_stage
 from artifact.studies.fitted import LOW_RANK, Fitting
 
 WITHIN_PP = 1.0
@@ -25,8 +25,6 @@ WITHIN_PP = 1.0
 
 FITTING_ORDER = ("nordland", "amstertime", "gardens_point", "svox", "robotcar", "st_lucia")
 """Order in which the paper fits and composes the transforms of its datasets."""
-
-_DIFFERENCES = ("difference_R", "difference_DAR")
 
 
 def order_of_fitting(manifest: Manifest, names: Iterable[str]) -> list[str]:
@@ -70,7 +68,7 @@ def single_against_multi(
                 single, multi = (replicated_hits(found[view], k, name, how.seed) for view in views)
                 sample.append(single - multi)
                 inputs += described[name].inputs
-    return Study(pd.DataFrame(rows), tuple(inputs), by_column(_DIFFERENCES, sample))
+    return Study(pd.DataFrame(rows), tuple(inputs), by_metric(sample, "difference_"))
 
 
 def _evaluate_both(
@@ -121,7 +119,7 @@ def irrelevant_conditions(
                     rows.append(row | {"queries": result.n_queries} | _differences(views, k))
                     sample.append(reference - replicated_hits(result[suppressor], k, name, how.seed))
                 inputs += described.inputs
-    return Study(pd.DataFrame(rows), tuple(inputs), by_column(_DIFFERENCES, sample))
+    return Study(pd.DataFrame(rows), tuple(inputs), by_metric(sample, "difference_"))
 
 
 def _differences(views: Mapping[str, Evaluation], k: int) -> dict[str, float]:

@@ -7,7 +7,7 @@ import pandas as pd
 from scipy.stats import rankdata
 
 from artifact.metrics.statistics import ends, holm, p_values
-from artifact.studies.common import PERCENT, Study
+from artifact.studies.common import PERCENT, Study, shares
 from artifact.studies.judging import CERTAIN
 from artifact.studies.recall import mean_replicates, with_means
 
@@ -20,7 +20,7 @@ def rank_chances(study: Study, metric: str) -> pd.DataFrame:
     """
     means, sample = with_means(study.table), mean_replicates(study)[metric]
     ranks = rankdata(-sample.round(9), method="min", axis=0)
-    low, high = ends(sample.clip(0, PERCENT))
+    low, high = shares(sample)
     table = pd.DataFrame({"method": means["method"], "mean": means[metric], "low": low, "high": high})
     chances = {rank: PERCENT * (ranks == rank).mean(axis=1) for rank in range(1, len(means) + 1)}
     return table.assign(**{str(rank): chance for rank, chance in chances.items()})

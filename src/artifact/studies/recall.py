@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pandas as pd
 from artifact.manifest import Manifest
 from artifact.metrics.statistics import intervals
 from artifact.studies import evaluated, reported
-from artifact.studies.common import METRICS, PERCENT, Study, by_column, origin, replicated_hits
+from artifact.studies.common import METRICS, PERCENT, Study, by_metric, origin, replicated_hits
 
 
 def recall_table(
@@ -26,25 +27,23 @@ def recall_table(
     """
     rows, inputs, sample = [], [], []
     expected = reported.recall_table().set_index(["dataset", "method"]).to_dict("index") if k == 1 else {}
-    for name in names:
-        entry = manifest.dataset(name)
-        for method in methods:
-            measured = evaluated.evaluation(manifest, name, method, seed=seed)
-            result = measured.evaluation
-            row: dict[str, Any] = {"dataset": name, "title": entry.title, "method": method}
-            row["reported_as"] = entry.reported_as
-            sample.append(replicated_hits(result, k, name, seed))
-            for metric, found in intervals(result, k, seed=seed, stream=name).items():
-                bounds = {"": found.value, "_low": found.low, "_high": found.high}
-                row |= {f"{metric}{bound}": PERCENT * value for bound, value in bounds.items()}
-            row |= {"queries": result.n_queries, "listed": result.n_queries + result.excluded_queries}
-            row |= {f"hits_{m}": int(result.hits(k, distractors=m == "DAR").sum()) for m in ("R", "DAR")}
-            row["ties"] = PERCENT * (result.dar(k) - result.dar(k, ties="against"))
-            row["origin"] = origin(measured)
-            printed = expected.get((entry.reported_as, method), {})
-            rows.append(row | {f"reported_{metric}": printed.get(f"{metric}@1", np.nan) for metric in METRICS})
-            inputs += measured.inputs
-    return Study(pd.DataFrame(rows), tuple(inputs), by_column(("R", "DAR"), sample))
+    for name, method in product(names, methods):
+        entry, measured = manifest.dataset(name), evaluated.evaluation(manifest, name, method, seed=seed)
+        result = measured.evaluation
+        row: dict[str, Any] = {"dataset": name, "title": entry.title, "method": method}
+        row["reported_as"] = entry.reported_as
+        sample.append(replicated_hits(result, k, name, seed))
+        for metric, found in intervals(result, k, seed=seed, stream=name).items():
+            bounds = {"": found.value, "_low": found.low, "_high": found.high}
+            row |= {f"{metric}{bound}": PERCENT * value for bound, value in bounds.items()}
+        row |= {"queries": result.n_queries, "listed": result.n_queries + result.excluded_queries}
+        row |= {f"hits_{m}": int(result.hits(k, distractors=m == "DAR").sum()) for m in ("R", "DAR")}
+        row["ties"] = PERCENT * (result.dar(k) - result.dar(k, ties="against"))
+        row["origin"] = origin(measured)
+        printed = expected.get((entry.reported_as, method), {})
+        rows.append(row | {f"reported_{metric}": printed.get(f"{metric}@1", np.nan) for metric in METRICS})
+        inputs += measured.inputs
+    return Study(pd.DataFrame(rows), tuple(inputs), by_metric(sample))
 
 
 def with_means(table: pd.DataFrame) -> pd.DataFrame:

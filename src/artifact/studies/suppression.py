@@ -12,10 +12,8 @@ from artifact.manifest import Manifest
 from artifact.metrics.evaluation import Evaluation
 from artifact.ranking.one_pass import ORIGINAL
 from artifact.studies import fitted
-from artifact.studies.common import PERCENT, Study, by_column, cell_of, origin, replicated_hits, single_stage
+from artifact.studies.common import PERCENT, Study, by_metric, cell_of, origin, replicated_hits, single_stage
 from artifact.studies.fitted import METHODS, Fitting
-
-_CHANGES = ("change_R", "change_DAR")
 
 
 def suppression_table(
@@ -48,7 +46,7 @@ def suppression_table(
             row["of_nordland"] = "nordland" in (entry.reported_as, (entry.mirrors or "").lower())
             rows.append(row | {"origin": origin(result.described)})
         inputs += result.described.inputs
-    return Study(pd.DataFrame(rows), tuple(inputs), by_column(_CHANGES, sample))
+    return Study(pd.DataFrame(rows), tuple(inputs), by_metric(sample, "change_"))
 
 
 def _changes(before: Evaluation, after: Evaluation, k: int) -> dict[str, float]:
@@ -98,7 +96,7 @@ def fitting_fraction(
                 rows.append(row | _changes(before, after, k))
                 sample.append(replicated_hits(after, k, name, seed) - reference)
         inputs += described.inputs
-    return Study(pd.DataFrame(rows), tuple(inputs), by_column(_CHANGES, sample))
+    return Study(pd.DataFrame(rows), tuple(inputs), by_metric(sample, "change_"))
 
 
 def mean_by_fraction(table: pd.DataFrame) -> pd.DataFrame:

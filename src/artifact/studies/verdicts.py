@@ -54,8 +54,12 @@ def of_recall(table: pd.DataFrame) -> pd.DataFrame:
     """
     known = table[table["reported_R"].notna()]
     cells = [cell for row in known.to_dict("records") for cell in _recall_cells(row)]
-    datasets = known.drop_duplicates("reported_as").to_dict("records")
-    return _frame([*cells, *map(_evaluated_row, datasets), *_recall_means(known)])
+    for row in known.drop_duplicates("reported_as").to_dict("records"):
+        judged = of_evaluated(row["listed"], row["queries"], row["reported_as"])
+        expected = str(EVALUATED_QUERIES[row["reported_as"]])
+        facts = ("Table I", row["title"], "all", "evaluated queries", expected, row["queries"], math.nan, math.nan)
+        cells.append(dict(zip(COLUMNS, (*facts, *judged), strict=True)))
+    return _frame([*cells, *_recall_means(known)])
 
 
 def _recall_cells(row: dict[str, Any]) -> list[dict[str, Any]]:
@@ -74,13 +78,6 @@ def _recall_cells(row: dict[str, Any]) -> list[dict[str, Any]]:
         # The paper's quotient of printed values may round to another last digit than that of the counts.
         cells[2] |= {"verdict": "equal", "why": "the quotient of the same numbers of queries"}
     return cells
-
-
-def _evaluated_row(row: dict[str, Any]) -> dict[str, Any]:
-    judged = of_evaluated(row["listed"], row["queries"], row["reported_as"])
-    expected = str(EVALUATED_QUERIES[row["reported_as"]])
-    cells = ("Table I", row["title"], "all", "evaluated queries", expected, row["queries"])
-    return dict(zip(COLUMNS, (*cells, math.nan, math.nan, *judged), strict=True))
 
 
 def of_evaluated(listed: int, evaluated: int, dataset: str) -> Judged:

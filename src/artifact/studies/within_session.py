@@ -10,6 +10,7 @@ keeps how labels cluster in space but not what they say about the image.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -63,22 +64,21 @@ def within_session(
         If no dataset is left.
     """
     how, rows, inputs = Fitting(fraction, iterations, seed), [], []
-    for name in names:
-        for method in single_stage(manifest, methods):
-            described = describe(manifest, name, method)
-            region = fitted.split_of(described.dataset, fraction)
-            if len(region.fit_queries) < _FITTED:
-                continue
-            measures = appearance(described.dataset.query, manifest.cache)
-            for statistic in statistics:
-                values = measures[:, STATISTICS.index(statistic)]
-                found = _evaluations(manifest, described, region, values, statistic, how)
-                for view in VIEWS:
-                    row = {"dataset": name, "title": manifest.dataset(name).title, "method": method}
-                    row |= {"statistic": statistic, "view": view}
-                    row |= _gaps(found[view], values[region.evaluation_queries], seed)
-                    rows.append(row | {"origin": origin(described)})
-            inputs += described.inputs
+    for name, method in product(names, single_stage(manifest, methods)):
+        described = describe(manifest, name, method)
+        region = fitted.split_of(described.dataset, fraction)
+        if len(region.fit_queries) < _FITTED:
+            continue
+        measures = appearance(described.dataset.query, manifest.cache)
+        for statistic in statistics:
+            values = measures[:, STATISTICS.index(statistic)]
+            found = _evaluations(manifest, described, region, values, statistic, how)
+            for view in VIEWS:
+                row = {"dataset": name, "title": manifest.dataset(name).title, "method": method}
+                row |= {"statistic": statistic, "view": view}
+                row |= _gaps(found[view], values[region.evaluation_queries], seed)
+                rows.append(row | {"origin": origin(described)})
+        inputs += described.inputs
     if not rows:
         raise NothingToShowError(
             f"this page needs a dataset with {_FITTED} queries in {PERCENT * fraction:g} % of them"
