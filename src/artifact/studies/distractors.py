@@ -69,8 +69,7 @@ def distractor_distance(
         result = measured.evaluation
         hits = result.hits_by_distance(distances, k)
         found.append(replicated(hits, result, dataset, seed))
-        pool, queries = cKDTree(result.pool_positions[result.pool_name]), cKDTree(result.query_positions)
-        left = result.n_distractors - pool.count_neighbors(queries, distances) / result.n_queries
+        left = _distractors_left(result, distances)
         for distance, share, number in zip(map(float, distances), _shares(hits, found[-1]), left, strict=True):
             row = {"dataset": dataset, "title": title, "method": method, "distance": distance, **share}
             printed = expected.get((method, round(distance, 6)), np.nan)
@@ -101,6 +100,12 @@ def by_distance_everywhere(
 def distances_beyond(threshold: float, distances: Iterable[float]) -> list[float]:
     """Return a threshold, the finite ones of some distances beyond it, and infinity."""
     return [threshold, *(distance for distance in distances if threshold < distance < np.inf), np.inf]
+
+
+def _distractors_left(result: Result, distances: Sequence[float]) -> np.ndarray:
+    """Mean number of distractors of a query beyond each distance."""
+    pool, queries = cKDTree(result.pool_positions[result.pool_name]), cKDTree(result.query_positions)
+    return result.n_distractors - pool.count_neighbors(queries, distances) / result.n_queries
 
 
 def distractor_condition(
