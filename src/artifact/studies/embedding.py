@@ -62,8 +62,7 @@ def embedding(
 
     def compute() -> dict[str, Any]:
         inlp = INLP(iterations, seed=seed).fit(*fitted.fitting_data(described, region))
-        shown = fitted.evaluation_region(described, region)
-        rows = np.concatenate([shown.queries, shown.database])
+        rows = np.concatenate(fitted.evaluation_region(described, region)[:2])
         return {"before": _umap(rows, seed), "after": _umap(inlp.transform(rows), seed)}
 
     found = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "umap"})

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from importlib.metadata import version
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -57,21 +57,13 @@ class Suppressed:
     split: Split
 
 
-class Region(NamedTuple):
-    """Descriptors ``(n, d)`` and positions ``(n, p)`` of a region, as :func:`artifact.evaluate` takes them."""
-
-    queries: np.ndarray
-    database: np.ndarray
-    query_positions: np.ndarray
-    database_positions: np.ndarray
-    threshold: float
-
-
-def evaluation_region(described: Described, where: Split) -> Region:
-    """Return the evaluation region of a split."""
+def evaluation_region(
+    described: Described, where: Split
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+    """Return the evaluation region of a split as :func:`artifact.evaluate` takes it: descriptors, positions, threshold."""
     queries, database, data = where.evaluation_queries, where.evaluation_database, described.dataset
     values = described.query.values[queries], described.database.values[database]
-    return Region(*values, data.query.positions[queries], data.database.positions[database], data.threshold)
+    return *values, data.query.positions[queries], data.database.positions[database], data.threshold
 
 
 def fitting_data(described: Described, where: Split) -> tuple[np.ndarray, np.ndarray]:
