@@ -1,10 +1,9 @@
 """Two-stage methods: candidates of the augmented database by a first stage, ranked again by a second.
 
-A two-stage method takes the first N images of a query's database by its first stage (SelaVPR: cosine of descriptors;
-SelaVPR++: Hamming distance of hash codes) and ranks them again (SelaVPR: mutual nearest local features; SelaVPR++:
-cosine of descriptors). So distractors act twice: they push database images out of the candidates, and they compete with
-those that stay. A distractor may even help, by pushing out a wrong database image that the second stage would have
-preferred: DAR can exceed R, and is reported as it is.
+The first N images of a query's database by the first stage (SelaVPR: cosine of descriptors; SelaVPR++: Hamming distance of
+hash codes) are ranked again (SelaVPR: mutual nearest local features; SelaVPR++: cosine of descriptors). So distractors push
+database images out of the candidates, and compete with those that stay. One may even help, by pushing out a wrong image that
+the second stage would have preferred: DAR can exceed R, and is reported as it is.
 
 Ties favour the query: images equal in the first stage stand with the positives first, then database images and
 distractors, each by index; images equal in the second stage keep their first-stage order.

@@ -22,8 +22,7 @@ def rank_chances(study: Study, metric: str) -> pd.DataFrame:
     ranks = rankdata(-sample.round(9), method="min", axis=0)
     low, high = shares(sample)
     table = pd.DataFrame({"method": means["method"], "mean": means[metric], "low": low, "high": high})
-    chances = {rank: PERCENT * (ranks == rank).mean(axis=1) for rank in range(1, len(means) + 1)}
-    return table.assign(**{str(rank): chance for rank, chance in chances.items()})
+    return table.assign(**{str(rank): PERCENT * (ranks == rank).mean(axis=1) for rank in range(1, len(means) + 1)})
 
 
 def separable(study: Study, metric: str) -> pd.DataFrame:
