@@ -103,8 +103,8 @@ def remarks_on(manifest: Manifest, dataset: Dataset) -> list[str]:
         for traversal, ours in zip(pair, digests, strict=True):
             if len(ours) > 1 and len(set(ours)) == 1:
                 found.append(f"all images of {traversal.name} are the same")
-    if dataset.unit == "frames" and not entry.by_name and all(t.has_images for t in pair):
-        found += _remarks_on_order(*pair)
+        if dataset.unit == "frames" and not entry.by_name:
+            found += _remarks_on_order(*pair)
     facts = counts(dataset.query.positions, dataset.database.positions, dataset.threshold)
     if facts["median"] == len(dataset.database) > 1:
         found.append(
@@ -163,10 +163,9 @@ def _remarks_on_order(query: Traversal, database: Traversal) -> list[str]:
     """Differences of names between frames that their order pairs."""
     names = [[data.stem(image) for image in traversal.image_names] for traversal in (query, database)]
     found = []
-    if len(names[0]) != len(names[1]):
-        found.append(
-            f"frames are paired by their order, but {query.name} has {len(names[0])} images and {database.name} {len(names[1])}"
-        )
+    if len(query) != len(database):
+        sizes = f"{query.name} has {len(query)} images and {database.name} {len(database)}"
+        found.append(f"frames are paired by their order, but {sizes}")
     shared = set(names[0]) & set(names[1])
     differ = [pair for pair in zip(*names, strict=False) if _number(pair[0]) != _number(pair[1])]
     if differ:
