@@ -14,6 +14,7 @@ import pandas as pd
 from artifact.datasets import shipped
 from artifact.metrics.evaluate import evaluate
 from artifact.ranking import products
+from artifact.ranking.one_pass import Work
 from artifact.suppression.lowrank import LowRankMap
 
 Made = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -104,9 +105,11 @@ def ranking_times(made: Made, *, n_views: int = 0, repeats: int = 3) -> pd.DataF
             least[name] = min(least[name], time.perf_counter() - start)
     frame = pd.DataFrame({"work": list(works), "seconds": list(least.values())})
     frame["share"] = frame["seconds"] / frame["seconds"].iloc[:2].min()
-    facts = {"pairs": "pairs", "second": "second_looks", "third": "third_looks", "product": "product"}
-    for column, fact in facts.items():
-        frame[column] = [getattr(found[name], fact, None) for name in works]
+    looked = [found[name] if isinstance(found[name], Work) else None for name in works]
+    frame["pairs"] = [work and work.pairs for work in looked]
+    frame["second"] = [work and work.second_looks for work in looked]
+    frame["third"] = [work and work.third_looks for work in looked]
+    frame["product"] = [work and work.product for work in looked]
     sizes = {"queries": len(queries), "database": len(database), "dimension": dimension}
     return frame.assign(processor=processor(), **sizes)
 
