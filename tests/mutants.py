@@ -215,7 +215,9 @@ def main():
     found = [run_area(area, options.sample, random.Random(options.seed)) for area in options.areas or AREAS]
     tried, survived, unknown = map(sum, zip(*found, strict=True))
     changing = tried - (survived - unknown)
-    say(f"{tried - survived} of {tried} changes are noticed, {survived - unknown} change nothing that anyone is promised;")
+    say(
+        f"{tried - survived} of {tried} changes are noticed, {survived - unknown} change nothing that anyone is promised;"
+    )
     say(f"of the others {(tried - survived) / changing:.1%} are noticed, {unknown} are not and call for a test")
     sys.exit(int(unknown > 0))
 

@@ -6,6 +6,7 @@ import hashlib
 import os
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -194,6 +195,20 @@ def test_every_flipped_bit_of_a_result_and_of_its_record_is_noticed(tmp_path):
             unnoticed += 1
         assert unnoticed <= 8 * len("checksum") * (file.suffix == ".json"), "but in the name of the checksum itself"
         file.write_bytes(whole)
+
+
+@pytest.mark.parametrize(
+    ("error", "cause"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device"),
+        (OSError("16 requested and 8 written"), "16 requested and 8 written"),  # so NumPy says it, without a number
+    ],
+)
+def test_a_full_disk_is_said_with_its_cause_and_what_to_do(error, cause):
+    with pytest.raises(store.StoreError) as caught, store.writing(Path("ranks.npz")):
+        raise error
+    line = f"ranks.npz: cannot be written ({cause}). What is finished stays: make room, or make it writable, or "
+    assert str(caught.value).startswith(line)
 
 
 @pytest.mark.parametrize("record", ["[1, 2]", '"sha256"', "7", "null", "{}", '{"key": "k"}'])
