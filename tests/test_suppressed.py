@@ -208,6 +208,10 @@ def test_too_small_a_fraction_leaves_a_pair_out_of_the_means(tmp_path, monkeypat
     whole = table.query("dataset == 'made' and suppression == 'LEACE'").set_index("fraction")
     found = means.query("suppression == 'LEACE'").set_index("fraction")
     np.testing.assert_allclose(found["change_DAR"], whole["change_DAR"])
+    # A pair that no fraction suits is evaluated without suppression, and nothing is said of any method.
+    alone = studies.suppression.fitting_fraction(manifest, ["small"], [synthetic.METHOD], [0.04], iterations=2)
+    assert alone.table[["fraction", "change_R", "change_DAR"]].drop_duplicates().to_numpy().tolist() == [[0, 0, 0]]
+    assert {one.verdict for one in pages.suppression.of_fractions(alone)} == {"cannot tell"}
 
 
 def test_the_composed_transform_is_fitted_in_turn_and_erases_both_conditions(two):

@@ -137,7 +137,7 @@ def by_fraction(
             views |= {f"{name} {fraction!r}": fitted[name] for name in LOW_RANK}
             evaluation = evaluate_standardised(described, region, fitted["STD"], seed=seed)
             standardised[f"STD {fraction!r}"] = evaluation
-        half = evaluation_region(described, next(iter(usable.values())))  # of every fraction
+        half = evaluation_region(described, next(iter(regions.values())))  # of every fraction
         return {"views": evaluate(*half, views=views, seed=seed)} | standardised
 
     results = stored(manifest, key, compute, {"dataset": dataset, "method": method, "stage": "fractions"})
