@@ -11,6 +11,7 @@ import functools
 import gzip
 import inspect
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -87,12 +88,8 @@ class Finding:
     paper: str
     rule: str
     found: str
-    judged: Judged
-
-    @property
-    def verdict(self) -> Verdict:
-        """*agrees*, *differs* or *cannot tell*."""
-        return self.judged.verdict
+    verdict: Verdict
+    why: str
 
 
 _P = ParamSpec("_P")
@@ -101,18 +98,15 @@ _P = ParamSpec("_P")
 def claim(page: str, text: str, *, paper: str, rule: str) -> Callable[[Callable[_P, Answer]], Callable[_P, Finding]]:
     """Make a :class:`Finding` of a function that returns an :data:`Answer`.
 
-    ``R@K`` and ``DAR@K`` in claim and rule become those of the function's parameter ``k``.
+    ``R@K`` and ``DAR@K`` in claim and rule become those of the function's parameter ``k``, by default 1.
     """
 
     def decorate(measure: Callable[_P, Answer]) -> Callable[_P, Finding]:
-        signature = inspect.signature(measure)
-
         @functools.wraps(measure)
         def finding(*args: _P.args, **options: _P.kwargs) -> Finding:
-            bound = signature.bind(*args, **options)
-            bound.apply_defaults()
-            at = f"R@{bound.arguments.get('k', 1)}"
-            return Finding(page, text.replace("R@K", at), paper, rule.replace("R@K", at), *measure(*args, **options))
+            at = f"R@{inspect.signature(measure).bind(*args, **options).arguments.get('k', 1)}"
+            found, judged = measure(*args, **options)
+            return Finding(page, text.replace("R@K", at), paper, rule.replace("R@K", at), found, *judged)
 
         return finding
 
@@ -136,7 +130,7 @@ def findings(*found: Finding) -> HTML:
         markup(
             f'<div class="claim">{5 * line}</div>',
             *("Claim", one.claim, "Paper", typeset(one.paper), "Agrees if", typeset(one.rule)),
-            *("This run", markup("{} {}", typeset(one.found), verdict(one.verdict)), "Why", typeset(one.judged.why)),
+            *("This run", markup("{} {}", typeset(one.found), verdict(one.verdict)), "Why", typeset(one.why)),
         )
         for one in found
     )
@@ -154,7 +148,7 @@ def findings_table(found: Sequence[Finding]) -> HTML:
     for one in found:
         row = {"Claim": one.claim, "The paper": typeset(one.paper), "This run": typeset(one.found)}
         link = markup('<a href="{}.html">{}</a>', one.page, PAGES[one.page])
-        rows.append(row | {"Verdict": verdict(one.verdict), "Why": typeset(one.judged.why), "Page": link})
+        rows.append(row | {"Verdict": verdict(one.verdict), "Why": typeset(one.why), "Page": link})
     return table(rows, classes="findings")
 
 
@@ -166,9 +160,8 @@ def tally(found: Sequence[Finding]) -> str:
     >>> tally([])
     'Of 0 claims 0 agree, 0 differ, 0 cannot be told.'
     """
-    counts = {name: sum(one.verdict == name for one in found) for name in ("agrees", "differs", "cannot tell")}
-    agree, differ, open_ = counts.values()
-    return f"Of {len(found)} claims {agree} agree, {differ} differ, {open_} cannot be told."
+    n = Counter(one.verdict for one in found)
+    return f"Of {len(found)} claims {n['agrees']} agree, {n['differs']} differ, {n['cannot tell']} cannot be told."
 
 
 # -- numbers ------------------------------------------------------------------------------------------------
