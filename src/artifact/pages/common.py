@@ -223,6 +223,11 @@ def typeset(text: str) -> str:
     return re.sub(r"(?<=\d) (?=%|pp\b|m\b)", "\u00a0", minus(text))
 
 
+def in_unit(distance: float, unit: str) -> str:
+    """Print a distance in the unit of a dataset's threshold: metres, frames or pairs."""
+    return f"{distance:.0f} {'m' if unit == 'metres' else unit}"
+
+
 def interval(low: float, high: float) -> str:
     """Print an interval in percent."""
     return f"[{number(low, digits=1)}, {number(high, digits=1)}]"

@@ -16,14 +16,12 @@ from artifact.datasets import Dataset, Traversal
 from artifact.datasets.images import read_image
 from artifact.datasets.positives import positives_of
 from artifact.metrics.evaluation import Evaluation
-from artifact.pages.common import markup
+from artifact.pages.common import in_unit, markup, paragraph
 from artifact.pages.style import QUERY_COLOUR, RIGHT_COLOUR, WRONG_COLOUR, embed, show_image
 from artifact.studies.erased import Erased
 from artifact.studies.evaluated import Measured
 
-_WIDTH = 320  # pixels of a picture in a sheet
 _TILE = (96, 72)  # pixels of a picture on hover; artifact.css and artifact.js have them too
-_UNITS = {"metres": "m", "frames": "frames", "pairs": "pairs"}
 _NONE_LOST = "No query of this evaluation loses its place to a distractor."
 
 Shown = tuple[Traversal, int, str, str]
@@ -42,8 +40,9 @@ def contact_sheet(dataset: Dataset, n: int = 5) -> HTML:
     figure = Figure(figsize=(2.15 * n, 1.72 * len(rows)))
     axes = figure.subplots(len(rows), n, squeeze=False)
     for row, traversal in zip(axes, rows, strict=True):
-        for panel, place in zip(row, places, strict=True):
-            show_image(panel, picture(traversal, nearest(traversal, dataset.query.positions[place])))
+        for panel, position in zip(row, dataset.query.positions[places], strict=True):
+            nearest = np.linalg.norm(traversal.positions - position, axis=1).argmin()
+            show_image(panel, picture(traversal, nearest))
         row[0].set_ylabel("\n".join(dict.fromkeys([traversal.name, traversal.condition])), fontsize=8)
     figure.subplots_adjust(left=0.05, right=1, top=1, bottom=0, wspace=0.02, hspace=0.03)
     text = f"{n} places of {dataset.title} in the traversals {', '.join(t.name for t in rows)}"
@@ -57,26 +56,25 @@ def tiles(shown: Sequence[tuple[Traversal, int]]) -> HTML:
     across = min(len(shown), 24)
     sheet = Image.new("RGB", (_TILE[0] * across, _TILE[1] * -(-len(shown) // across)))
     for number, (traversal, index) in enumerate(shown):
-        image = read_image(traversal.folder / traversal.image_names[index]).convert("RGB")
+        image = read_image(traversal.folder / traversal.image_names[index])
         corner = _TILE[0] * (number % across), _TILE[1] * (number // across)
         sheet.paste(ImageOps.fit(image, _TILE), corner)
-    stream = io.BytesIO()
-    sheet.save(stream, "jpeg", quality=55)
-    data = base64.b64encode(stream.getvalue()).decode()
     text = '<div class="tiles" hidden data-across="{}" style="background-image:url(data:image/jpeg;base64,{})"></div>'
-    return markup(text, across, data)
+    return markup(text, across, encoded(sheet, 55))
 
 
-def nearest(traversal: Traversal, position: np.ndarray) -> int:
-    """Return the index of the image nearest to a position."""
-    return int(np.linalg.norm(traversal.positions - position, axis=1).argmin())
+def encoded(image: Image.Image, quality: int) -> str:
+    """Return an image as JPEG in base64."""
+    stream = io.BytesIO()
+    image.save(stream, "jpeg", quality=quality)
+    return base64.b64encode(stream.getvalue()).decode()
 
 
-def picture(traversal: Traversal, index: int) -> np.ndarray:
-    """Return one image as ``(h, w, 3)`` uint8, at most 320 pixels wide."""
+def picture(traversal: Traversal, index: int) -> Image.Image:
+    """Return one image, at most 320 pixels wide."""
     image = read_image(traversal.folder / traversal.image_names[index])
-    image.thumbnail((_WIDTH, _WIDTH))
-    return np.asarray(image)
+    image.thumbnail((320, 320))
+    return image
 
 
 def distractor_story(measured: Measured) -> HTML:
@@ -93,24 +91,24 @@ def distractor_story(measured: Measured) -> HTML:
     place, alone = result.retrieved(1, distractors=False)
     margins = score[lost, 0] - alone[lost, 0]
     query = lost[np.argsort(margins, kind="stable")[len(lost) // 2]]
-    distractor = int(top[query, 0]) - result.n_database
+    distractor = top[query, 0] - result.n_database
     away = _away(dataset, result, query, distractor)
     by_query, by_database = dataset.query.condition, dataset.database.condition
-    images = [int(result.evaluated[query]), int(place[query, 0]), int(result.evaluated[distractor])]
-    panels = [
-        ((0.02, 0.24, 0.36, 0.5), dataset.query, QUERY_COLOUR, f"query ({by_query})"),
-        ((0.62, 0.53, 0.36, 0.42), dataset.database, RIGHT_COLOUR, f"the same place ({by_database})"),
-        ((0.62, 0.03, 0.36, 0.42), dataset.query, WRONG_COLOUR, f"a distractor: {away} away ({by_query})"),
+    shown = [
+        (dataset.query, result.evaluated[query], QUERY_COLOUR, f"query ({by_query})"),
+        (dataset.database, place[query, 0], RIGHT_COLOUR, f"the same place ({by_database})"),
+        (dataset.query, result.evaluated[distractor], WRONG_COLOUR, f"a distractor: {away} ({by_query})"),
     ]
+    boxes = (0.02, 0.24, 0.36, 0.5), (0.62, 0.53, 0.36, 0.42), (0.62, 0.03, 0.36, 0.42)
     figure = Figure(figsize=(7.4, 4.3))
-    for (box, traversal, colour, title), index in zip(panels, images, strict=True):
+    for box, (traversal, index, colour, title) in zip(boxes, shown, strict=True):
         axes = figure.add_axes(box)
         show_image(axes, picture(traversal, index), colour)
         axes.set_title(title, fontsize=9.5, pad=4)
     of_place, of_distractor = (_score(measured, values[query, 0]) for values in (alone, score))
     _score_arrow(figure, 0.68, 0.6778, of_place, RIGHT_COLOUR, 2)
     _score_arrow(figure, 0.3, 0.3022, of_distractor, WRONG_COLOUR, 4)
-    text = f"A query of {dataset.title}; the image of its place has {of_place}, a distractor {away} away has {of_distractor}"
+    text = f"A query of {dataset.title}; the image of its place has {of_place}, a distractor {away} has {of_distractor}"
     return embed(figure, text, form="jpeg", width=760)
 
 
@@ -122,10 +120,9 @@ def _score(measured: Measured, value: float) -> str:
 def _score_arrow(figure: Figure, end: float, beside: float, score: str, colour: str, width: float) -> None:
     """Draw an arrow from the query to the height ``end``, with a score at the height ``beside``."""
     arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": width}
-    ends, within = [(0.61, end), (0.39, 0.49)], {"xycoords": "figure fraction", "annotation_clip": False}
-    figure.add_artist(Annotation("", *ends, arrowprops=arrow, **within))
-    style = {"ha": "center", "va": "center", "fontsize": 10, "weight": "bold"}
-    figure.text(0.5, beside, score, color=colour, **style)
+    ends = (0.61, end), (0.39, 0.49)
+    figure.add_artist(Annotation("", *ends, "figure fraction", arrowprops=arrow, annotation_clip=False))
+    figure.text(0.5, beside, score, color=colour, ha="center", va="center", fontsize=10, weight="bold")
 
 
 def recovered_strips(erased: Erased, view: str, n: int = 4) -> HTML:
@@ -141,9 +138,9 @@ def recovered_strips(erased: Erased, view: str, n: int = 4) -> HTML:
     winner, winner_after = (one.retrieved(1, distractors=True)[0][:, 0] for one in (before, after))
     queries = split.evaluation_queries[before.evaluated]
     strips: list[list[Shown]] = []
-    for query in recovered[_spread(len(recovered), n)]:
-        distractor = int(winner[query]) - before.n_database
-        taken = dataset.query, queries[distractor], WRONG_COLOUR, f"{_away(dataset, before, query, distractor)} away"
+    for query in recovered[spread(len(recovered), n)]:
+        distractor = winner[query] - before.n_database
+        taken = dataset.query, queries[distractor], WRONG_COLOUR, _away(dataset, before, query, distractor)
         right = dataset.database, split.evaluation_database[winner_after[query]], RIGHT_COLOUR, ""
         strips.append([(dataset.query, queries[query], QUERY_COLOUR, ""), taken, right])
     text = f"{len(strips)} queries of {dataset.title} that {view} recovers"
@@ -162,11 +159,10 @@ def retrieval_strips(measured: Measured, n: int = 4) -> HTML:
         return nothing
     alone, augmented = (result.retrieved(1, distractors=added)[0][:, 0] for added in (False, True))
     strips: list[list[Shown]] = []
-    for query in lost[_spread(len(lost), n)]:
-        distractor = int(augmented[query]) - result.n_database
-        away = f"{_away(dataset, result, query, distractor)} away"
+    for query in lost[spread(len(lost), n)]:
+        distractor = augmented[query] - result.n_database
         right = dataset.database, alone[query], RIGHT_COLOUR, ""
-        taken = dataset.query, result.evaluated[distractor], WRONG_COLOUR, away
+        taken = dataset.query, result.evaluated[distractor], WRONG_COLOUR, _away(dataset, result, query, distractor)
         strips.append([(dataset.query, result.evaluated[query], QUERY_COLOUR, ""), right, taken])
     text = f"{len(strips)} queries of {dataset.title} that retrieve the right place until distractors are added"
     return _strips(strips, ("Query", "Top 1 of the database", "Top 1 with distractors"), text)
@@ -183,7 +179,7 @@ def example_strips(dataset: Dataset, n: int = 3) -> HTML:
     if nothing := _nothing_to_show(dataset, evaluated, "No query has a positive."):
         return nothing
     strips: list[list[Shown]] = []
-    for query in evaluated[_spread(len(evaluated) - 1, n)] if len(evaluated) > 1 else evaluated:
+    for query in evaluated[spread(len(evaluated) - 1, n)] if len(evaluated) > 1 else evaluated:
         away = np.linalg.norm(positions - positions[query], axis=1)
         far = evaluated[away[evaluated] > threshold]
         if not len(far):
@@ -191,19 +187,14 @@ def example_strips(dataset: Dataset, n: int = 3) -> HTML:
         near = positives[starts[query] : starts[query + 1]]
         distances = np.linalg.norm(dataset.database.positions[near] - positions[query], axis=1)
         other = far[np.abs(far - (query + len(positions) // 2) % len(positions)).argmin()]
-        units = _UNITS[dataset.unit]
-        strips.append(
-            [
-                (dataset.query, int(query), QUERY_COLOUR, ""),
-                (dataset.database, int(near[distances.argmin()]), RIGHT_COLOUR, f"{distances.min():.0f} {units} away"),
-                (dataset.query, int(other), WRONG_COLOUR, f"{away[other]:.0f} {units} away"),
-            ]
-        )
+        beside, beyond = (f"{in_unit(one, dataset.unit)} away" for one in (distances.min(), away[other]))
+        right = dataset.database, near[distances.argmin()], RIGHT_COLOUR, beside
+        wrong = dataset.query, other, WRONG_COLOUR, beyond
+        strips.append([(dataset.query, query, QUERY_COLOUR, ""), right, wrong])
     if not strips:
-        return markup("<p>{}</p>", "No query has a distractor: all lie within the threshold of each other.")
-    return _strips(
-        strips, ("Query", "Positive", "A distractor"), f"Examples of {dataset.title}: query, positive, distractor"
-    )
+        return paragraph("No query has a distractor: all lie within the threshold of each other.")
+    text = f"Examples of {dataset.title}: query, positive, distractor"
+    return _strips(strips, ("Query", "Positive", "A distractor"), text)
 
 
 def _strips(strips: list[list[Shown]], titles: Sequence[str], text: str) -> HTML:
@@ -221,20 +212,20 @@ def _strips(strips: list[list[Shown]], titles: Sequence[str], text: str) -> HTML
     return embed(figure, text, form="jpeg", width=680)
 
 
-def _spread(n: int, most: int) -> np.ndarray:
-    """At most so many of n indices, evenly spread."""
+def spread(n: int, most: int) -> np.ndarray:
+    """Return at most so many of n indices, evenly spread."""
     return np.linspace(0, n - 1, min(most, n)).round().astype(int)
 
 
 def _not_here(dataset: Dataset) -> HTML:
-    return markup("<p>The images of {} are not on this machine.</p>", dataset.title)
+    return paragraph(f"The images of {dataset.title} are not on this machine.")
 
 
 def _nothing_to_show(dataset: Dataset, queries: np.ndarray, none: str = _NONE_LOST) -> HTML | None:
     """Say why there is nothing to show, if so: no images, or no queries."""
     if not (dataset.query.has_images and dataset.database.has_images):
         return _not_here(dataset)
-    return None if len(queries) else markup("<p>{}</p>", none)
+    return None if len(queries) else paragraph(none)
 
 
 def _lost(result: Evaluation) -> np.ndarray:
@@ -244,5 +235,5 @@ def _lost(result: Evaluation) -> np.ndarray:
 
 def _away(dataset: Dataset, result: Evaluation, query: int, distractor: int) -> str:
     """How far a distractor is from a query, in words."""
-    away = np.linalg.norm(result.query_positions[query] - result.pool_positions[result.pool_name][distractor])
-    return f"{away:.0f} {_UNITS[dataset.unit]}"
+    offset = result.query_positions[query] - result.pool_positions[result.pool_name][distractor]
+    return f"{in_unit(np.linalg.norm(offset), dataset.unit)} away"

@@ -8,6 +8,7 @@ import io
 import re
 from collections.abc import Iterable, Sequence
 from importlib.resources import as_file, files
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from IPython.display import HTML
 from matplotlib import style as styles
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.colors import TABLEAU_COLORS
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
@@ -22,6 +24,7 @@ from matplotlib.text import Text
 from numpy.typing import ArrayLike
 
 from artifact.pages.common import Titles, join, markup
+from artifact.studies import reported
 
 _DEEP_IN_THE_EARTH_M = 6e6  # no plane coordinates with a height are so far from their origin
 
@@ -54,20 +57,10 @@ _IN_A_PAGE = (
     (r"(\d\.\d\d)\d{3,4}\b", r"\1"),
 )
 
-# Colours and markers of the paper's Figs. 5 to 7.
-_PAPER = {
-    "anyloc": ("#1f77b4", "o"),
-    "boq": ("#ff7f0e", "s"),
-    "cosplace": ("#2ca02c", "^"),
-    "cricavpr": ("#d62728", "D"),
-    "eigenplaces": ("#9467bd", "p"),
-    "megaloc": ("#8c564b", "o"),
-    "mixvpr": ("#e377c2", "s"),
-    "salad": ("#7f7f7f", "^"),
-    "salad_cm": ("#bcbd22", "D"),
-    "selavpr": ("#17becf", "p"),
-    "selavprpp": ("#000000", "o"),
-}
+# The paper's Figs. 5 to 7 take Matplotlib's own colours and black, and five markers in turn, in the order of its tables.
+_PAPER = dict(
+    zip(reported.method_titles(), zip([*TABLEAU_COLORS.values(), "#000000"], cycle("os^Dp"), strict=False), strict=True)
+)
 _BASELINES = {"thumbnail": ("#c1666b", "v"), "hog": ("#d4a017", "h"), "efficientnet_lite0": ("#2a6f97", "P")}
 _OTHERS = [("#6a4c93", "X"), ("#3a7d44", "<"), ("#9c6644", ">"), ("#5c677d", "d")]
 
@@ -111,8 +104,8 @@ def legend_below(figure: Figure, handles: Sequence[Artist] | None = None, *, col
 
 def method_legend(figure: Figure, titles: Titles, *, lines: bool = True, reported: bool = False) -> None:
     """Draw one legend of all methods below a figure, with the dashed line of the paper's values if there is one."""
-    line = {"linestyle": "-" if lines else "none"}
-    handles = [Line2D([], [], label=title, **line, **marker_options(name, titles)) for name, title in titles.items()]
+    line = "-" if lines else "none"
+    handles = [Line2D([], [], label=t, linestyle=line, **marker_options(name, titles)) for name, t in titles.items()]
     if reported:
         handles.append(Line2D([], [], color="0.3", label="the paper", **REPORTED_LINE))
     legend_below(figure, handles, columns=4)
@@ -125,13 +118,11 @@ def colour_handle(colour: str, label: str, marker: str = "s") -> Line2D:
 
 def percent_axis(axes: Axes, label: str = "", *, axis: str = "y") -> None:
     """Scale an axis from 0 to 100 % with quarter ticks and a grid."""
-    axes.set(**{f"{axis}lim": (-2, 102), f"{axis}ticks": [0, 25, 50, 75, 100]})
+    axes.set(**{f"{axis}lim": (-2, 102), f"{axis}ticks": [0, 25, 50, 75, 100], f"{axis}label": label})
     axes.grid(visible=True)
-    if label:
-        axes.set(**{f"{axis}label": label})
 
 
-def bare(axes: Axes, colour: str | None = None, width: float = 0.8) -> None:
+def bare(axes: Axes, colour: str | None, width: float = 0.8) -> None:
     """Take the ticks off a panel, and its frame too unless that has a colour."""
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set(visible=colour is not None, edgecolor=colour, linewidth=width)
@@ -162,10 +153,8 @@ def tell_values(axes: Axes, points: ArrayLike, texts: Iterable[str], size: float
     """
     points, texts = np.asarray(points, float), np.asarray(list(texts), object)
     known = np.isfinite(points).all(axis=1)
-    # One address more than points: Matplotlib drops the address of a collection that has but one.
-    axes.scatter(
-        *points[known].T, s=size, color=[_CLEAR], linewidths=0, zorder=20, clip_on=False, urls=[*texts[known], ""]
-    )
+    urls = [*texts[known], ""]  # one more than points: Matplotlib drops the address of a collection that has but one
+    axes.scatter(*points[known].T, s=size, color=[_CLEAR], linewidths=0, zorder=20, clip_on=False, urls=urls)
 
 
 def embed(
@@ -193,20 +182,17 @@ def embed(
     keys = [key for legend in figure.legends for key in zip(legend.legend_handles, legend.get_texts(), strict=True)]
     for legend in figure.legends:
         legend.set_visible(False)
-    drawn = [axes for axes in figure.axes if axes.axison or axes.has_data() or axes.patches]
+    panels = []
+    for shown in [axes for axes in figure.axes if axes.axison or axes.has_data() or axes.patches]:
+        for axes in figure.axes:
+            axes.set_visible(axes is shown)
+        panels.append(_svg(figure))
     return markup(
         '<figure class="figure" role="group" aria-label="{}"{}><div class="panels">{}</div>{}{}</figure>',
-        *(description, style, join(_panel(figure, axes) for axes in drawn)),
+        *(description, style, join(panels)),
         markup('<ul class="keys">{}</ul>', join(_key(*key) for key in keys)) if keys else "",
         below,
     )
-
-
-def _panel(figure: Figure, shown: Axes) -> HTML:
-    """Draw one panel alone, cropped to what it shows."""
-    for axes in figure.axes:
-        axes.set_visible(axes is shown)
-    return _svg(figure)
 
 
 def _key(handle: Artist, words: Text) -> HTML:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import json
 from collections.abc import Mapping
 from importlib.resources import files
@@ -11,17 +9,13 @@ from typing import Any
 
 import pandas as pd
 from IPython.display import HTML
-from PIL import Image
 
-from artifact.datasets import Traversal
-from artifact.pages.common import Titles, markup, table
-from artifact.pages.galleries import picture
+from artifact.pages.common import Titles, in_unit, markup, table
+from artifact.pages.galleries import encoded, picture
 from artifact.studies.evaluated import Measured
 from artifact.studies.per_query import COLUMNS
 
-_UNITS = {"metres": "m", "frames": "frames", "pairs": "pairs"}
-_WIDTH = 200  # pixels of a picture
-_QUALITY = 68
+_WIDTH, _QUALITY = 200, 68  # of a picture: pixels, and that of its JPEG
 
 
 def columns_table() -> HTML:
@@ -46,9 +40,11 @@ def browser(found: Mapping[tuple[str, str], tuple[Measured, pd.DataFrame]], titl
             for part, traversal in (("query", data.query), ("positive", data.database), ("distractor", data.query)):
                 key = f"{name}/{traversal.name}/{row[part]}"
                 if key not in images:
-                    images[key] = _embedded(traversal, row[part])
+                    image = picture(traversal, row[part])
+                    image.thumbnail((_WIDTH, _WIDTH))
+                    images[key] = encoded(image, _QUALITY)
                 case[part], case[f"{part}_file"] = key, traversal.image_names[row[part]]
-            away = f"{row['away']:.0f} {_UNITS[data.unit]}"
+            away = in_unit(row["away"], data.unit)
             case["note"] = f"{away} from the query; with distractors its place has rank {row['rank_with_distractors']}"
             case |= {"query_condition": data.query.condition, "database_condition": data.database.condition}
             cases.append(case)
@@ -64,11 +60,3 @@ def browser(found: Mapping[tuple[str, str], tuple[Measured, pd.DataFrame]], titl
         '<div class="triple"></div>'
         f'<script type="application/json">{content}</script><script>{script}</script></div>'
     )
-
-
-def _embedded(traversal: Traversal, index: int) -> str:
-    image = Image.fromarray(picture(traversal, index))
-    image.thumbnail((_WIDTH, _WIDTH))
-    stream = io.BytesIO()
-    image.save(stream, "JPEG", quality=_QUALITY)
-    return base64.b64encode(stream.getvalue()).decode()
