@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from artifact.metrics.statistics import replicates
 from artifact.pages.common import Answer, claimed
-from artifact.pages.galleries import tiles
+from artifact.pages.galleries import spread, tiles
 from artifact.pages.style import bare, colour_handle, embed, legend_below, tell_values
 from artifact.studies.common import PERCENT
 from artifact.studies.embedding import Embedding, aligned, mixed
@@ -27,15 +27,14 @@ def embedding(found: Embedding, conditions: Sequence[str], title: str) -> HTML:
     For the legend: the query and the database condition, and the printed title of the method.
     """
     data = found.described.dataset
-    told = np.linspace(0, len(found.before) - 1, min(_TOLD, len(found.before))).round().astype(int)
+    told = spread(len(found.before), _TOLD)
     images = [(data.query if row < found.n_queries else data.database, int(found.images[row])) for row in told]
     with_images = all(part.has_images for part, _ in images)
     texts = [f"{part.condition}, image {i}{f' ⧉{n}' if with_images else ''}" for n, (part, i) in enumerate(images)]
     figure = Figure(figsize=(8.4, 4.0))
     before, after = figure.subplots(1, 2)
     for axes, points, name in ((before, found.before, "original"), (after, found.after, "suppressed with INLP")):
-        joined = np.stack([points[found.partners[:, 0]], points[found.partners[:, 1]]], axis=1)
-        axes.add_collection(LineCollection(joined, colors="0.6", linewidths=0.5, alpha=0.6, zorder=1))
+        axes.add_collection(LineCollection(points[found.partners], colors="0.6", linewidths=0.5, alpha=0.6, zorder=1))
         parts = points[: found.n_queries], points[found.n_queries :]
         for part, colour, marker in zip(parts, _COLOURS, _MARKERS, strict=True):
             axes.scatter(*part.T, s=12, color=colour, marker=marker, linewidths=0, zorder=2)
@@ -65,8 +64,5 @@ def _rises(before: np.ndarray, after: np.ndarray, one: Embedding, seed: int, wha
     """Shares of queries before and after suppression, and whether the second is larger."""
     gain, data = after.astype(float) - before, one.described.dataset
     sample = PERCENT * replicates(gain, one.positions[0], data.threshold, seed=seed, stream=data.name)[0]
-    text = (
-        f"the nearest neighbour in the plane {what} for {PERCENT * before.mean():.1f} % of {len(gain)} queries before and "
-        f"{PERCENT * after.mean():.1f} % after"
-    )
-    return text, above(PERCENT * gain.mean(), sample, 0)
+    shares = f"{PERCENT * before.mean():.1f} % of {len(gain)} queries before and {PERCENT * after.mean():.1f} % after"
+    return f"the nearest neighbour in the plane {what} for {shares}", above(PERCENT * gain.mean(), sample, 0)

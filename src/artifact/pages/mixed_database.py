@@ -14,8 +14,8 @@ from matplotlib.lines import Line2D
 from artifact.datasets import Traversal
 from artifact.metrics.evaluation import Evaluation
 from artifact.pages import style
-from artifact.pages.common import NO_LOSS_PP, Answer, Titles, change, claimed, number, table
-from artifact.pages.galleries import tiles
+from artifact.pages.common import NO_LOSS_PP, Answer, Titles, change, claimed, in_unit, number, table
+from artifact.pages.galleries import spread, tiles
 from artifact.pages.style import bare, colour_handle, embed, in_the_plane, legend_below, tell_values
 from artifact.studies import reported
 from artifact.studies.common import PERCENT
@@ -43,19 +43,26 @@ def mixed_database(
     shown: dict[tuple[str, int], tuple[int, Traversal, int]] = {}
     for row, (method, one) in zip(axes, found.items(), strict=True):
         for panel, (name, title) in zip(row, panels.items(), strict=True):
-            share = f"{_recall(one, name):.1f} %"
-            _draw_map(panel, one, one.evaluations[name], with_added=name != "single")
+            result = one.evaluations[name]
+            share = f"{PERCENT * result.recall(1):.1f} %"
+            _draw_map(panel, one, result, with_added=name != "single")
             panel.set_title(f"{titles[method]}, {title}\nR@1 {share}", fontsize=9.5)
-            _tell_matches(panel, one, one.evaluations[name], shown)
+            _tell_matches(panel, one, result, shown)
             shares.append(f"{titles[method]} {title} {share}")
     figure.tight_layout()
-    _map_legend(figure, conditions, with_fit=any(len(one.fitted_queries) for one in found.values()))
+    query, database, added = conditions
+    with_fit = any(len(one.fitted_queries) for one in found.values())
+    handles = [colour_handle(style.FITTING_COLOUR, "fitting region", "D")] if with_fit else []
+    handles += [
+        colour_handle(style.QUERY_COLOUR, f"query ({query})", "o"),
+        colour_handle(style.DATABASE_COLOUR, f"database ({database})"),
+        colour_handle(style.DISTRACTOR_COLOUR, f"added to the database ({added})", "^"),
+        Line2D([], [], color=style.RIGHT_COLOUR, linewidth=2.6, label="right (thick)"),
+        Line2D([], [], color=style.WRONG_COLOUR, linewidth=0.9, label="wrong (thin)"),
+    ]
+    legend_below(figure, handles)
     text = f"Maps of top-1 retrievals; R@1: {', '.join(shares)}"
     return embed(figure, text, width=390 * len(panels), below=tiles([one[1:] for one in shown.values()]))
-
-
-def _recall(one: MixedDatabase, name: str) -> float:
-    return PERCENT * one.evaluations[name].recall(1)
 
 
 def _draw_map(axes: Axes, one: MixedDatabase, result: Evaluation, *, with_added: bool) -> None:
@@ -65,12 +72,11 @@ def _draw_map(axes: Axes, one: MixedDatabase, result: Evaluation, *, with_added:
     ends = (np.concatenate([places, added]) if with_added else places)[result.retrieved(1, distractors=False)[0][:, 0]]
     right = np.linalg.norm(ends - starts, axis=1) <= data.threshold
     origin = places.mean(axis=0)
-    shown = np.linspace(0, len(starts) - 1, min(_MATCHES, len(starts))).round().astype(int)
+    shown = spread(len(starts), _MATCHES)
     begin, end = in_the_plane(starts, origin), in_the_plane(ends, origin)
-    for colour, chosen, width, order in (
-        (style.WRONG_COLOUR, shown[~right[shown]], 0.7, 2),
-        (style.RIGHT_COLOUR, shown[right[shown]], 2.6, 6),
-    ):
+    wrong_and_right = (style.WRONG_COLOUR, ~right, 0.7, 2), (style.RIGHT_COLOUR, right, 2.6, 6)
+    for colour, so, width, order in wrong_and_right:
+        chosen = shown[so[shown]]
         lines = np.stack([begin[chosen], end[chosen]], axis=1)
         axes.add_collection(LineCollection(lines, colors=colour, linewidths=width, alpha=0.75, zorder=order))
     axes.scatter(*in_the_plane(places, origin).T, s=14, color=style.DATABASE_COLOUR, marker="s", zorder=4, linewidths=0)
@@ -92,17 +98,15 @@ def _tell_matches(
     """Give some queries of a map their match and the two images on hover; ``shown`` gathers the images of all maps."""
     data = one.described.dataset
     query, database, extra = data.query, data.database, one.added_traversal
-    chosen = np.linspace(0, result.n_queries - 1, min(_TOLD, result.n_queries)).round().astype(int)
-    texts = []
-    for row in chosen:
-        found = int(result.retrieved(1, distractors=False)[0][row, 0])
+    chosen = spread(result.n_queries, _TOLD)
+    retrieved, texts = result.retrieved(1, distractors=False)[0][chosen, 0], []
+    for i, found in zip(one.queries[result.evaluated[chosen]].tolist(), retrieved.tolist(), strict=True):
         added = found - len(one.database)
-        pair = [(query, int(one.queries[result.evaluated[row]]))]
-        pair.append((database, int(one.database[found])) if added < 0 else (extra, int(one.added[added])))
-        (_, i), (match, j) = pair
-        away = np.linalg.norm(match.positions[j] - query.positions[i])
-        text = f"query {i}, match {j} of {match.name}, {away:.0f} {'m' if data.unit == 'metres' else data.unit} away"
+        match, j = (database, int(one.database[found])) if added < 0 else (extra, int(one.added[added]))
+        away = in_unit(np.linalg.norm(match.positions[j] - query.positions[i]), data.unit)
+        text = f"query {i}, match {j} of {match.name}, {away} away"
         if query.has_images and match.has_images:
+            pair = (query, i), (match, j)
             numbers = [shown.setdefault((part.name, k), (len(shown), part, k))[0] for part, k in pair]
             text += f" ⧉{numbers[0]} {numbers[1]}"
         texts.append(text)
@@ -110,35 +114,22 @@ def _tell_matches(
     tell_values(axes, in_the_plane(result.query_positions[chosen], origin), texts, size=40)
 
 
-def _map_legend(figure: Figure, conditions: Sequence[str], *, with_fit: bool) -> None:
-    query, database, added = conditions
-    handles = [colour_handle(style.FITTING_COLOUR, "fitting region", "D")] if with_fit else []
-    handles += [
-        colour_handle(style.QUERY_COLOUR, f"query ({query})", "o"),
-        colour_handle(style.DATABASE_COLOUR, f"database ({database})"),
-        colour_handle(style.DISTRACTOR_COLOUR, f"added to the database ({added})", "^"),
-        Line2D([], [], color=style.RIGHT_COLOUR, linewidth=2.6, label="right (thick)"),
-        Line2D([], [], color=style.WRONG_COLOUR, linewidth=0.9, label="wrong (thin)"),
-    ]
-    legend_below(figure, handles)
-
-
 def mixed_table(found: Mapping[str, MixedDatabase], panels: Mapping[str, str], titles: Titles) -> HTML:
     """Show R@1 of each of two panels, an evaluation and its heading, and the change between them."""
     rows = []
     for method, one in found.items():
         recalls = {heading: float(one.recalls(name).mean()) for name, heading in panels.items()}
-        queries = next(iter(one.evaluations.values())).n_queries
-        counts = {"Queries": queries, "Database": len(one.database), "Added": len(one.added)}
-        spread = {"Spread over choices": _spread(one.recalls(list(panels)[-1]))}
-        rows.append(_before_and_after(titles[method], recalls) | spread | counts)
+        row = _before_and_after(titles[method], recalls)
+        row["Spread over choices"] = _range(one.recalls(list(panels)[-1]))
+        row["Queries"] = next(iter(one.evaluations.values())).n_queries
+        rows.append(row | {"Database": len(one.database), "Added": len(one.added)})
     return table(rows, text=1, caption=f"Measured in this run: means over {DRAWS} choices of the added images.")
 
 
 def reported_mixed_table(name: str) -> HTML:
     """Show the values that the paper prints in Fig. 2 (``"fig02"``) or Fig. 9 (``"fig09"``)."""
     frame = reported.table(name)
-    column = next(c for c in frame.columns if c not in ("method", "recall_percent"))
+    (column,) = set(frame) - {"method", "recall_percent"}
     wide = frame.pivot_table(index="method", columns=column, values="recall_percent", sort=False)
     titles = reported.method_titles()
     rows = [_before_and_after(titles[method], row.to_dict()) for method, row in wide.iterrows()]
@@ -172,20 +163,20 @@ def suppression_helps_mixed_database(found: Mapping[str, MixedDatabase], titles:
 
 def _steps(found: Mapping[str, MixedDatabase], before: str, after: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Changes of R@1 ``(methods,)`` in pp, and their replicates."""
-    drawn = [one.replicates(seed) for one in found.values()]
     values = [one.recalls(after).mean() - one.recalls(before).mean() for one in found.values()]
+    drawn = [one.replicates(seed) for one in found.values()]
     return np.array(values), np.stack([one[after] - one[before] for one in drawn])
 
 
 def _in_words(found: Mapping[str, MixedDatabase], before: str, after: str, titles: Titles) -> str:
     parts = [
         f"{titles[method]} {one.recalls(before).mean():.1f} % to {one.recalls(after).mean():.1f} % "
-        f"({_spread(one.recalls(after))})"
+        f"({_range(one.recalls(after))})"
         for method, one in found.items()
     ]
     draws = max(one.hits[after].shape[1] for one in found.values())
     return f"means over {draws} choices of the added images, in brackets their spread: {', '.join(parts)}"
 
 
-def _spread(draws: np.ndarray) -> str:
+def _range(draws: np.ndarray) -> str:
     return f"{draws.min():.1f} to {draws.max():.1f}"
