@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from itertools import combinations
-from typing import Any
+from collections.abc import Sequence
+from itertools import combinations, product
 
 import numpy as np
 import pandas as pd
@@ -15,6 +14,7 @@ from matplotlib.figure import Figure
 from artifact.metrics.statistics import ends, rank_agreement
 from artifact.pages.common import (
     CLEARLY_PP,
+    NOTHING_TO_COMPARE,
     SIMILAR_PP,
     Answer,
     Titles,
@@ -31,63 +31,56 @@ from artifact.pages.common import (
 from artifact.pages.style import embed, marker_options, method_legend, percent_axis, tell_values
 from artifact.studies import reported, verdicts
 from artifact.studies.common import METRICS, Study
-from artifact.studies.judging import Judged, changes_places, some_above
+from artifact.studies.judging import changes_places, some_above
 from artifact.studies.recall import mean_replicates, with_means
 
 _MARKED = {"best": "<b>{}</b>", "second": "<u>{}</u>", "worst": "<i>{}</i>"}
 
-_Cell = tuple[float, str, int | None]
-"""A value, its mark, and on the mean its rank."""
+_Cell = tuple[float, str, float]
+"""A value, its mark, and its rank, which only means have."""
 
 
 def recall_table(frame: pd.DataFrame, titles: Titles, *, k: int = 1, label: str) -> HTML:
     """Show Table III in the paper's form: three metrics per dataset, means with ranks, marked cells, a label on top."""
     means = with_means(frame).set_index("method")
     frame = frame.sort_values("origin", key=lambda origin: ~origin.str.startswith("real"), kind="stable")
-    groups = []
-    for _, rows in frame.groupby("dataset", sort=False):
-        by_method = rows.set_index("method").loc[means.index]
-        groups.append((rows["title"].iloc[0], [_column(by_method[metric]) for metric in METRICS]))
-    groups.append(("Mean", [_column(means[metric], means[f"rank_{metric}"]) for metric in METRICS]))
-    return _in_the_papers_form([titles[method] for method in means.index], groups, k, label)
-
-
-def _column(values: pd.Series, ranks: pd.Series | None = None) -> list[_Cell]:
-    printed = [None] * len(values) if ranks is None else ranks.tolist()
-    return list(zip(values.tolist(), marks([round(value, 9) for value in values]), printed, strict=True))
+    parts = [rows.set_index("method").loc[means.index] for _, rows in frame.groupby("dataset", sort=False)]
+    columns = []
+    for part, metric in product([*parts, means], METRICS):
+        ranks = part.get(f"rank_{metric}", [np.nan] * len(part))
+        columns.append(list(zip(part[metric], marks([round(value, 9) for value in part[metric]]), ranks, strict=True)))
+    names = [*(part["title"].iloc[0] for part in parts), "Mean"]
+    return _in_the_papers_form([titles[method] for method in means.index], names, columns, k, label)
 
 
 def reported_recall_table() -> HTML:
     """Show the paper's own Table III, with its marks and ranks, labelled as reported."""
-    titles, groups = reported.method_titles(), []
-    for name, cells in reported.table("tab03").groupby("dataset", sort=False):
-        columns = []
+    titles, names, columns = reported.method_titles(), [], []
+    for dataset, cells in reported.table("tab03").groupby("dataset", sort=False):
+        names.append(reported.dataset_titles().get(dataset, "Mean"))
         for metric in METRICS:
             part = cells[cells["metric"] == f"{metric}@1"].set_index("method").loc[list(titles)]
-            ranks = part["rank"].astype(int) if name == "mean" else [None] * len(part)
-            columns.append(list(zip(part["percent"], part["mark"].fillna(""), ranks, strict=True)))
-        groups.append((reported.dataset_titles().get(name, "Mean"), columns))
-    return _in_the_papers_form(list(titles.values()), groups, 1, "Reported by the paper, not from this run.")
+            columns.append(list(zip(part["percent"], part["mark"].fillna(""), part["rank"], strict=True)))
+    return _in_the_papers_form(list(titles.values()), names, columns, 1, "Reported by the paper, not from this run.")
 
 
 def _in_the_papers_form(
-    methods: Sequence[str], groups: Sequence[tuple[str, list[list[_Cell]]]], k: int, caption: str
+    methods: Sequence[str], names: Sequence[str], columns: Sequence[Sequence[_Cell]], k: int, caption: str
 ) -> HTML:
-    """Three columns per group, of which the last is that of the means; on a narrow page each cell has its heading."""
-    first = [" mean" if group == len(groups) - 1 and n == 0 else "" for group in range(len(groups)) for n in range(3)]
-    labels = [f"{title} {metric}@{k}" for title, _ in groups for metric in METRICS]
+    """Three columns per name, of which the last is that of the means; on a narrow page each cell has its heading."""
+    first = [" mean" if n == len(columns) - len(METRICS) else "" for n in range(len(columns))]
+    labels = [f"{name} {metric}@{k}" for name, metric in product(names, METRICS)]
     top = join(
         markup('<th colspan="3" scope="colgroup" class="group{}">{}</th>', *pair)
-        for pair in zip(first[::3], (t for t, _ in groups), strict=True)
+        for pair in zip(first[:: len(METRICS)], names, strict=True)
     )
     sub = join(
         markup('<th scope="col" class="right{}">{}<wbr>@{}</th>', style, metric, k)
-        for style, metric in zip(first, METRICS * len(groups), strict=True)
+        for style, metric in zip(first, METRICS * len(names), strict=True)
     )
-    rows = zip(methods, *(column for _, columns in groups for column in columns), strict=True)
     body = join(
         markup('<tr><th scope="row">{}</th>{}</tr>', title, join(map(_cell, cells, first, labels)))
-        for title, *cells in rows
+        for title, *cells in zip(methods, *columns, strict=True)
     )
     return markup(
         '<div class="scroll" tabindex="0"><table class="results recall"><caption>{}</caption><thead><tr>'
@@ -98,7 +91,7 @@ def _in_the_papers_form(
 
 def _cell(cell: _Cell, classes: str, label: str) -> HTML:
     value, mark, rank = cell
-    superscript = markup("<sup>{}</sup>", rank) if rank else ""
+    superscript = "" if pd.isna(rank) else markup("<sup>{}</sup>", int(rank))
     shown = markup(_MARKED.get(mark, "{}"), number(value))
     return markup('<td class="right {}{}" data-label="{}">{}{}</td>', mark, classes, label, shown, superscript)
 
@@ -111,18 +104,13 @@ def beside_reported(frame: pd.DataFrame, titles: Titles, *, k: int = 1) -> HTML:
     for row in frame.to_dict("records"):
         cells = {"Dataset": row["title"], "Method": titles[row["method"]]}
         for metric, heading in headings.items():
-            cells[heading] = _beside(row, metric, judged.get((row["title"], row["method"], f"{metric}@{k} %")))
+            bounds = interval(row[f"{metric}_low"], row[f"{metric}_high"])
+            cells[heading] = markup("{} <small>{}</small>", number(row[metric], digits=2), bounds)
+            if found := judged.get((row["title"], row["method"], f"{metric}@{k} %")):
+                beside = number(row[f"reported_{metric}"]), verdict(found)
+                cells[heading] = markup("{} <small>paper {} {}</small>", cells[heading], *beside)
         rows.append(cells | {"Queries": row["queries"], "From": row["origin"]})
     return table(rows, numeric=[*headings.values(), "Queries"])
-
-
-def _beside(row: Mapping[str, Any], metric: str, judged: str | None) -> HTML:
-    """One cell: the measured value, its interval, and the paper's value with the verdict."""
-    bounds = interval(row[f"{metric}_low"], row[f"{metric}_high"])
-    cell = markup("{} <small>{}</small>", number(row[metric], digits=2), bounds)
-    if judged is None:
-        return cell
-    return markup("{} <small>paper {} {}</small>", cell, number(row[f"reported_{metric}"]), verdict(judged))
 
 
 def scatter(table: pd.DataFrame, titles: Titles, *, k: int = 1, source: str = "measured in this run") -> HTML:
@@ -153,13 +141,13 @@ def _draw_points(axes: Axes, points: pd.DataFrame, titles: Titles) -> None:
     axes.axline((0, 0), slope=1, linestyle="--", color="gray", linewidth=0.9, zorder=1)
     axes.axvline(points["R"].mean(), linestyle=":", color="gray", linewidth=1, zorder=1)
     axes.axhline(points["DAR"].mean(), linestyle=":", color="gray", linewidth=1, zorder=1)
-    for point in points.to_dict("records"):
-        options = marker_options(point["method"], titles)
-        axes.plot(point["R"], point["DAR"], linestyle="none", clip_on=False, zorder=3, **options)
+    texts = []
+    for method, recall, dar in points[["method", "R", "DAR"]].itertuples(index=False):
+        axes.plot(recall, dar, linestyle="none", clip_on=False, zorder=3, **marker_options(method, titles))
+        texts.append(f"{titles[method]}: R {recall:.2f} %, DAR {dar:.2f} %")
     percent_axis(axes)
     percent_axis(axes, axis="x")
     axes.set_box_aspect(1)
-    texts = (f"{titles[p['method']]}: R {p['R']:.2f} %, DAR {p['DAR']:.2f} %" for p in points.to_dict("records"))
     tell_values(axes, points[["R", "DAR"]], texts)
 
 
@@ -194,8 +182,7 @@ def mean_ranking_changes(study: Study, titles: Titles, k: int = 1) -> Answer:
     judged, certain = changes_places(*scores, (sample["R"], sample["DAR"]), [0] * len(means))
     moved = means[means.rank_R != means.rank_DAR]
     moves = "; ".join(f"{titles[m]} from {row.rank_R} to {row.rank_DAR}" for m, row in moved.iterrows())
-    names = [titles[method] for method in means.index]
-    sure = [f"{names[i]} and {names[j]}" for i, j in certain]
+    sure = [" and ".join(titles[means.index[row]] for row in pair) for pair in certain]
     found = f"{len(moved)} of {len(means)} methods change rank{listed([moves] if moves else [])}"
     return f"{found}; beyond chance: {', '.join(sure) or 'none'}", judged
 
@@ -211,8 +198,7 @@ def similar_recall_hides_differences(study: Study, titles: Titles, k: int = 1) -
         if names[i] == names[j] and abs(recall[i] - recall[j]) <= SIMILAR_PP
     ]
     if not pairs:
-        nothing = f"no two methods are within {SIMILAR_PP:g} pp in R@{k} on any dataset"
-        return nothing, Judged("cannot tell", "there is nothing to compare")
+        return f"no two methods are within {SIMILAR_PP:g} pp in R@{k} on any dataset", NOTHING_TO_COMPARE
     i, j = np.array(pairs).T
     judged, _ = some_above(dar[i] - dar[j], sample[i] - sample[j], CLEARLY_PP)
     most = int(np.argmax(dar[i] - dar[j]))
