@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import pandas as pd
@@ -53,16 +53,16 @@ def improved_table(frame: pd.DataFrame, *, k: int = 1) -> HTML:
 
 def suppression_table(frame: pd.DataFrame, titles: Titles, *, k: int = 1) -> HTML:
     """Show R, DAR and probe accuracy of the original, and their changes, one line per dataset and method."""
-    suppressors, rows = _suppressors(frame), []
+    rows = []
     for (_, method), part in frame.groupby(["dataset", "method"], sort=False):
         by_name = part.set_index("suppression")
         original = by_name.loc["original"]
-        row = {"Dataset": original["title"], "Method": titles[method]}
-        row["Fitted on"] = f"{original['fitted_queries']} + {original['fitted_database']}"
+        fitted_on = f"{original['fitted_queries']} + {original['fitted_database']}"
+        row = {"Dataset": original["title"], "Method": titles[method], "Fitted on": fitted_on}
         row["Queries"] = original["queries"]
         for metric, heading in (("probe", "Probe"), ("DAR", f"DAR@{k}"), ("R", f"R@{k}")):
             row[f"{heading} %"] = number(original[metric])
-            row |= {f"{heading} {name}": change(by_name.loc[name, f"change_{metric}"]) for name in suppressors}
+            row |= {f"{heading} {name}": change(by_name.loc[name, f"change_{metric}"]) for name in SUPPRESSORS}
         rows.append(row)
     caption = (
         "Original descriptors in percent, changes in percentage points. Fitted on: queries + database images of the "
@@ -73,23 +73,18 @@ def suppression_table(frame: pd.DataFrame, titles: Titles, *, k: int = 1) -> HTM
     return table(rows, text=2, caption=caption)
 
 
-def _suppressors(table: pd.DataFrame) -> list[str]:
-    return [name for name in table["suppression"].unique() if name != "original"]
-
-
 def heat_maps(table: pd.DataFrame, titles: Titles, *, k: int = 1) -> HTML:
     """Fig. 8: change of probe accuracy, DAR@K and R@K per suppression method, dataset and method."""
     datasets = dict(zip(table["dataset"], table["title"], strict=True))
     titles = {method: titles[method] for method in table["method"].unique()}
-    suppressors = _suppressors(table)
     # The shorter axis runs across, so that the numbers stay legible.
     across, down = (titles, datasets) if len(titles) < len(datasets) else (datasets, titles)
     names = ("method", "dataset") if across is titles else ("dataset", "method")
     drawn = []
     for column, (name, better, colours) in _QUANTITIES.items():
-        figure = Figure(figsize=(len(suppressors) * (1.4 + 0.6 * len(across)), 0.9 + 0.27 * len(down)))
+        figure = Figure(figsize=(len(SUPPRESSORS) * (1.4 + 0.6 * len(across)), 0.9 + 0.27 * len(down)))
         limit = max(10.0, float(np.nanmax(np.abs(table[column]))))
-        for panel, suppressor in zip(figure.subplots(1, len(suppressors), squeeze=False)[0], suppressors, strict=True):
+        for panel, suppressor in zip(figure.subplots(1, len(SUPPRESSORS)), SUPPRESSORS, strict=True):
             part = table[table["suppression"] == suppressor].pivot(index=names[1], columns=names[0], values=column)
             _heat_map(panel, part.reindex(index=list(down), columns=list(across)).to_numpy(), limit, colours)
             panel.set_yticks(range(len(down)), list(down.values()))
@@ -111,11 +106,8 @@ def _heat_map(axes: Axes, values: np.ndarray, limit: float, colours: str) -> Non
     shown = np.sign(values) * np.sqrt(np.abs(values) / limit)
     image = axes.imshow(shown, cmap=colours, vmin=-1.25, vmax=1.25, aspect="auto")
     channels = image.to_rgba(shown)[..., :3]
-    luminance = np.where(channels <= 0.04, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4) @ (
-        0.2126,
-        0.7152,
-        0.0722,
-    )
+    linear = np.where(channels <= 0.04, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+    luminance = linear @ (0.2126, 0.7152, 0.0722)
     inks = np.where(luminance > 0.18, "#101010", "#fefefe")  # contrast of at least 4.5 : 1 either way
     for (row, column), value in np.ndenumerate(values):
         if np.isfinite(value):
@@ -151,117 +143,126 @@ def reported_fraction_curves() -> HTML:
     return fraction_curves(wide.reset_index().rename(columns=names), source="reported by the paper")
 
 
-def _by_suppressor(study: Study, column: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Values ``(pairs,)`` of a column, and their replicates if it has some, for each suppression method."""
-    table = study.table.reset_index(drop=True)
-    rows = {name: np.flatnonzero(table["suppression"] == name) for name in _suppressors(table)}
-    sample = study.replicates.get(column, np.empty((len(table), 0)))
-    return {name: (table[column].to_numpy()[of], sample[of]) for name, of in rows.items()}
+# Changes of a pair that count as help.
+_HELPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "change_probe": lambda changes: changes < -1e-9,
+    "change_DAR": lambda changes: changes > 1e-9,
+    "change_R": lambda changes: changes >= -NO_LOSS_PP - 1e-9,
+}
 
 
-def _mostly(study: Study, column: str, helped: Callable[[np.ndarray], np.ndarray]) -> Judged:
+def _helped(study: Study, column: str) -> dict[str, np.ndarray]:
+    """Tell which pairs ``(pairs,)`` each suppression method helps."""
+    changes = study.table.groupby("suppression", sort=False)[column]
+    return {name: _HELPS[column](values.to_numpy()) for name, values in changes}
+
+
+def _mostly(study: Study, column: str) -> Judged:
     """Judge whether INLP and LEACE each help more than half of the pairs."""
-    changes = _by_suppressor(study, column)
-    judged = {name: mostly(helped(changes[name][0])) for name in LOW_RANK}
-    return first_of(*(Judged(one.verdict, f"{name}: {one.why}") for name, one in judged.items()))
+    helped = _helped(study, column)
+    return first_of(*(_about(name, mostly(helped[name])) for name in LOW_RANK))
 
 
-def _fewer_with_std(study: Study, column: str, helped: Callable[[np.ndarray], np.ndarray]) -> Judged:
+def _fewer_with_std(study: Study, column: str) -> Judged:
     """Judge whether STD helps fewer pairs than INLP and than LEACE."""
-    found = {name: helped(values) for name, (values, _) in _by_suppressor(study, column).items()}
-    judged = {name: more_often(found[name], found["STD"]) for name in LOW_RANK}
-    return first_of(*(Judged(one.verdict, f"{name} against STD: {one.why}") for name, one in judged.items()))
+    helped = _helped(study, column)
+    return first_of(*(_about(f"{name} against STD", more_often(helped[name], helped["STD"])) for name in LOW_RANK))
 
 
-def _falls(changes: np.ndarray) -> np.ndarray:
-    return changes < -1e-9
+def _about(what: str, judged: Judged) -> Judged:
+    return Judged(judged.verdict, f"{what}: {judged.why}")
 
 
-def _rises(changes: np.ndarray) -> np.ndarray:
-    return changes > 1e-9
-
-
-def _kept(changes: np.ndarray) -> np.ndarray:
-    return changes >= -NO_LOSS_PP - 1e-9
+def _counted(study: Study, column: str) -> str:
+    """How many pairs each suppression method improves, in words."""
+    counts = improved(study.table).set_index("suppression")
+    parts = [f"{count} ({name})" for name, count in counts[column].items()]
+    return f"{', '.join(parts[:-1])} and {parts[-1]} of {counts['pairs'].iloc[0]} pairs"
 
 
 def _beyond_chance(study: Study, column: str) -> str:
     """How many pairs rise and fall beyond chance with each suppression method, in words."""
     parts = []
-    for name, (values, sample) in _by_suppressor(study, column).items():
-        certain = holm(p_values(values, sample)) < CERTAIN
+    for name in SUPPRESSORS:
+        rows = (study.table["suppression"] == name).to_numpy()
+        values = study.table[column].to_numpy()[rows]
+        certain = holm(p_values(values, study.replicates[column][rows])) < CERTAIN
         parts.append(f"{name} {(certain & (values > 0)).sum()} up, {(certain & (values < 0)).sum()} down")
     return f"beyond chance (Holm over the pairs): {'; '.join(parts)}"
+
+
+def _extreme(table: pd.DataFrame, row: int, column: str, titles: Titles) -> str:
+    """A combination and its change, in words."""
+    title, method, suppression, value = table.loc[row, ["title", "method", "suppression", column]]
+    return f"{titles[method]} on {title}, {change(value)} pp with {suppression}"
 
 
 @claimed
 def labels_less_accessible(study: Study) -> Answer:
     """INLP and LEACE make conditions less accessible to a linear classifier (Fig. 8a)."""
-    counts = improved(study.table).set_index("suppression")
-    return f"probe accuracy falls for {_counted(counts, 'probe')}", _mostly(study, "change_probe", _falls)
+    return f"probe accuracy falls for {_counted(study, 'probe')}", _mostly(study, "change_probe")
 
 
 @claimed
 def std_helps_probe_less_often(study: Study) -> Answer:
     """STD makes conditions less accessible less often (Fig. 8a)."""
-    counts = improved(study.table).set_index("suppression")
-    return f"probe accuracy falls for {_counted(counts, 'probe')}", _fewer_with_std(study, "change_probe", _falls)
+    return f"probe accuracy falls for {_counted(study, 'probe')}", _fewer_with_std(study, "change_probe")
 
 
 @claimed
 def suppression_raises_dar(study: Study, titles: Titles, k: int = 1) -> Answer:
     """INLP and LEACE raise DAR for most pairs (Fig. 8b)."""
-    counts, table = improved(study.table).set_index("suppression"), study.table
-    most = _extreme(table.loc[table["change_DAR"].idxmax()], "change_DAR", titles)
-    found = f"DAR@{k} rises for {_counted(counts, 'DAR')}; {_beyond_chance(study, 'change_DAR')}; most: {most}"
-    return found, _mostly(study, "change_DAR", _rises)
+    most = _extreme(study.table, study.table["change_DAR"].idxmax(), "change_DAR", titles)
+    found = f"DAR@{k} rises for {_counted(study, 'DAR')}; {_beyond_chance(study, 'change_DAR')}; most: {most}"
+    return found, _mostly(study, "change_DAR")
 
 
 @claimed
 def std_raises_dar_less_often(study: Study, k: int = 1) -> Answer:
     """STD raises DAR for fewer pairs (Fig. 8b)."""
-    counts = improved(study.table).set_index("suppression")
-    return f"DAR@{k} rises for {_counted(counts, 'DAR')}", _fewer_with_std(study, "change_DAR", _rises)
+    return f"DAR@{k} rises for {_counted(study, 'DAR')}", _fewer_with_std(study, "change_DAR")
 
 
 @claimed
 def suppression_keeps_recall(study: Study, titles: Titles, k: int = 1) -> Answer:
     """INLP and LEACE keep R without distractors in most cases (Fig. 8c)."""
-    kept = {name: _kept(values) for name, (values, _) in _by_suppressor(study, "change_R").items() if name in LOW_RANK}
-    shares = " and ".join(f"{one.sum()} of {len(one)} pairs ({name})" for name, one in kept.items())
+    kept = _helped(study, "change_R")
+    shares = " and ".join(f"{kept[name].sum()} of {len(kept[name])} pairs ({name})" for name in LOW_RANK)
     found = f"R@{k} falls by at most {NO_LOSS_PP:g} pp for {shares}; {_beyond_chance(study, 'change_R')}"
-    return found, _mostly(study, "change_R", _kept)
+    return found, _mostly(study, "change_R")
 
 
 @claimed
 def recall_falls_little(study: Study, titles: Titles, k: int = 1) -> Answer:
     """R falls by little with INLP and LEACE for every pair (Fig. 8c)."""
-    changed = study.table[study.table["suppression"].isin(LOW_RANK)]
-    worst = _extreme(changed.loc[changed["change_R"].idxmin()], "change_R", titles)
-    fewest = changed["queries"].min()
-    values, samples = zip(*(_by_suppressor(study, "change_R")[name] for name in LOW_RANK), strict=True)
-    judged = all_above(np.concatenate(values), np.concatenate(samples), -NO_LOSS_PP)
-    why = f"{judged.why}; a query is worth up to {100 / fewest:.2g} pp"
-    return f"largest change down: {worst}", Judged(judged.verdict, why)
+    chosen = study.table["suppression"].isin(LOW_RANK).to_numpy()
+    rows = study.table[chosen]
+    verdict, why = all_above(rows["change_R"].to_numpy(), study.replicates["change_R"][chosen], -NO_LOSS_PP)
+    worst = _extreme(rows, rows["change_R"].idxmin(), "change_R", titles)
+    worth = f"a query is worth up to {100 / rows['queries'].min():.2g} pp"
+    return f"largest change down: {worst}", Judged(verdict, f"{why}; {worth}")
 
 
 @claimed
 def railway_recall_rises(study: Study, titles: Titles, k: int = 1) -> Answer:
     """R rises on Nordland in all cases (Fig. 8c)."""
-    table = study.table.reset_index(drop=True)
-    rows = np.flatnonzero(table["of_nordland"] & (table["suppression"] != "original"))
-    if not len(rows):
+    chosen = (study.table["of_nordland"] & (study.table["suppression"] != "original")).to_numpy()
+    rows = study.table[chosen]
+    if rows.empty:
         return "neither Nordland nor a dataset that mirrors it is here", Judged("cannot tell", "nothing was measured")
-    changes = table["change_R"].to_numpy()[rows]
-    parts = [
-        f"{titles[table['method'][row]]} {table['suppression'][row]} {change(table['change_R'][row])}" for row in rows
-    ]
-    found = f"R@{k} rises in {(changes > 0).sum()} of {len(rows)} cases on {table['title'][rows[0]]} (pp: {', '.join(parts)})"
-    return found, all_above(changes, study.replicates["change_R"][rows], 0)
+    cases = rows[["method", "suppression", "change_R"]].itertuples(index=False)
+    parts = ", ".join(f"{titles[method]} {name} {change(value)}" for method, name, value in cases)
+    rising = f"{(rows['change_R'] > 0).sum()} of {len(rows)} cases on {rows['title'].iloc[0]}"
+    judged = all_above(rows["change_R"].to_numpy(), study.replicates["change_R"][chosen], 0)
+    return f"R@{k} rises in {rising} (pp: {parts})", judged
 
 
-def _mean_changes(study: Study, column: str) -> dict[tuple[str, float], tuple[float, np.ndarray]]:
-    """Mean change over the pairs that have every fraction, and its replicates, by suppression method and fraction."""
+_Change = tuple[float, np.ndarray]
+"""A mean change over pairs, and its replicates ``(count,)``."""
+
+
+def _mean_changes(study: Study, column: str) -> dict[tuple[str, float], _Change]:
+    """Mean change over the pairs that have every fraction, by suppression method and fraction."""
     table = study.table.reset_index(drop=True)
     table = table[has_every_fraction(table)]
     groups = table.groupby(["suppression", "fraction"], sort=False).groups
@@ -269,52 +270,40 @@ def _mean_changes(study: Study, column: str) -> dict[tuple[str, float], tuple[fl
     return {key: (table.loc[rows, column].mean(), sample[rows].mean(axis=0)) for key, rows in groups.items()}
 
 
-def _at_fraction(study: Study, column: str, fraction: float) -> dict[str, tuple[float, np.ndarray]]:
-    found = _mean_changes(study, column)
-    return {name: found[name, fraction] for name in SUPPRESSORS if (name, fraction) in found}
+def _at_fraction(
+    study: Study, metric: str, fraction: float, k: int, judge: Callable[[dict[str, _Change]], Judged]
+) -> Answer:
+    """Mean changes with one fraction in words, and what ``judge`` makes of them by suppression method."""
+    every = _mean_changes(study, f"change_{metric}")
+    found = {name: every[name, fraction] for name in SUPPRESSORS if (name, fraction) in every}
+    if not found:
+        return f"the fraction {fraction:g} is not among the parameters", Judged("cannot tell", "nothing was measured")
+    words = ", ".join(f"{name} {value:+.1f}" for name, (value, _) in found.items())
+    return f"at {100 * fraction:g} %, mean Δ{metric}@{k} is {words} pp", judge(found)
 
 
-def _left_out(fraction: float) -> Answer:
-    return f"the fraction {fraction:g} is not among the parameters", Judged("cannot tell", "nothing was measured")
-
-
-def _changes_in_words(changes: Mapping[str, tuple[float, np.ndarray]]) -> str:
-    return ", ".join(f"{name} {value:+.1f}" for name, (value, _) in changes.items())
+def _all_above(changes: Iterable[_Change], bound: float) -> Judged:
+    values, samples = zip(*changes, strict=True)
+    return all_above(np.array(values), np.stack(samples), bound)
 
 
 @claimed
 def a_twentieth_raises_dar(study: Study, k: int = 1) -> Answer:
     """INLP and LEACE raise mean DAR with 5 % of the queries (Fig. 10a)."""
-    changes = _at_fraction(study, "change_DAR", 0.05)
-    if not changes:
-        return _left_out(0.05)
-    values, samples = zip(*(changes[name] for name in LOW_RANK), strict=True)
-    return f"at 5 %, mean ΔDAR@{k} is {_changes_in_words(changes)} pp", all_above(
-        np.array(values), np.stack(samples), 0
-    )
+    return _at_fraction(study, "DAR", 0.05, k, lambda found: _all_above([found[name] for name in LOW_RANK], 0))
 
 
 @claimed
 def a_tenth_keeps_recall(study: Study, k: int = 1) -> Answer:
     """A tenth of the queries suffices to fit without losing mean R (Fig. 10b)."""
-    changes = _at_fraction(study, "change_R", 0.1)
-    if not changes:
-        return _left_out(0.1)
-    values, samples = zip(*changes.values(), strict=True)
-    judged = all_above(np.array(values), np.stack(samples), -CLOSE_PP)
-    return f"at 10 %, mean ΔR@{k} is {_changes_in_words(changes)} pp", judged
+    return _at_fraction(study, "R", 0.1, k, lambda found: _all_above(found.values(), -CLOSE_PP))
 
 
 @claimed
 def std_needs_more_data(study: Study, k: int = 1) -> Answer:
     """STD does not raise mean DAR with a tenth of the queries (Fig. 10a)."""
-    changes = _at_fraction(study, "change_DAR", 0.1)
-    if not changes:
-        return _left_out(0.1)
-    value, sample = changes["STD"]
-    judged = above(-value, -sample, 0)
-    return f"at 10 %, mean ΔDAR@{k} is {_changes_in_words(changes)} pp", Judged(
-        judged.verdict, f"loss with STD: {judged.why}"
+    return _at_fraction(
+        study, "DAR", 0.1, k, lambda found: _about("loss with STD", above(-found["STD"][0], -found["STD"][1], 0))
     )
 
 
@@ -323,13 +312,12 @@ def std_stays_below(study: Study, k: int = 1) -> Answer:
     """STD stays below INLP and LEACE in mean DAR (Fig. 10a)."""
     found = _mean_changes(study, "change_DAR")
     fractions = sorted({fraction for _, fraction in found if fraction > 0})
-    pairs = [(found[name, f], found["STD", f]) for f in fractions for name in LOW_RANK]
+    pairs = [(found[name, fraction], found["STD", fraction]) for fraction in fractions for name in LOW_RANK]
     if not pairs:
         return "no fraction is among the parameters", Judged("cannot tell", "nothing was measured")
-    values = np.array([a[0] - b[0] for a, b in pairs])
-    judged = all_above(values, np.stack([a[1] - b[1] for a, b in pairs]), 0)
-    text = f"STD is below INLP and LEACE in {(values > 0).sum()} of {len(values)} comparisons at {len(fractions)} fractions"
-    return text, judged
+    leads = [(other - std, others - stds) for (other, others), (std, stds) in pairs]
+    ahead = f"{sum(lead > 0 for lead, _ in leads)} of {len(leads)} comparisons at {len(fractions)} fractions"
+    return f"STD is below INLP and LEACE in {ahead}", _all_above(leads, 0)
 
 
 def of_changes(study: Study, titles: Titles, k: int = 1) -> list[Finding]:
@@ -349,13 +337,3 @@ def of_fractions(study: Study, k: int = 1) -> list[Finding]:
     """Return all findings on :func:`artifact.studies.suppression.fitting_fraction` (Fig. 10)."""
     claims = a_twentieth_raises_dar, a_tenth_keeps_recall, std_needs_more_data, std_stays_below
     return [claim(study, k) for claim in claims]
-
-
-def _extreme(row: pd.Series, column: str, titles: Titles) -> str:
-    """A combination and its change, in words."""
-    return f"{titles[row['method']]} on {row['title']}, {change(row[column])} pp with {row['suppression']}"
-
-
-def _counted(counts: pd.DataFrame, column: str) -> str:
-    parts = [f"{counts.loc[name, column]} ({name})" for name in counts.index]
-    return f"{', '.join(parts[:-1])} and {parts[-1]} of {counts['pairs'].iloc[0]} pairs"
