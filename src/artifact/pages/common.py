@@ -49,7 +49,6 @@ Answer = tuple[str, Judged]
 """What a run measured, in words, and whether that agrees with a claim and why."""
 
 NOTHING_TO_COMPARE = Judged("cannot tell", "there is nothing to compare")
-NOTHING_MEASURED = Judged("cannot tell", "nothing was measured")
 
 _SHORT = 24  # characters that a table cell keeps on one line
 _TALL = 30  # rows from which on a table scrolls in a box of its own

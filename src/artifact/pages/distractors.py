@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from IPython.display import HTML
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from artifact.pages.common import CLEARLY_PP, Answer, Titles, claimed, listed, table
+from artifact.pages.common import CLEARLY_PP, NOTHING_TO_COMPARE, Answer, Titles, claimed, listed, table
 from artifact.pages.style import REPORTED_LINE, embed, marker_options, method_legend, percent_axis, tell_values
 from artifact.studies import reported
 from artifact.studies.common import Study
@@ -30,12 +31,12 @@ def number_and_distance(
     for method, rows in number.groupby("method", sort=False):
         _draw_curve(left, rows["ratio"], rows, method, titles)
         if "draw_low" in rows:
-            band = {"color": marker_options(method, titles)["color"], "alpha": 0.18, "linewidth": 0}
-            left.fill_between(rows["ratio"], rows["draw_low"], rows["draw_high"], **band)
+            colour = marker_options(method, titles)["color"]
+            left.fill_between(rows["ratio"], rows["draw_low"], rows["draw_high"], color=colour, alpha=0.18, linewidth=0)
     left.set(xlabel="Distractor-to-query ratio", title="(a) Distractor number")
     _draw_distance(right, distance, titles)
-    percent_axis(left, f"DAR@{k} (%)")
-    percent_axis(right, f"DAR@{k} (%)")
+    for axes in (left, right):
+        percent_axis(axes, f"DAR@{k} (%)")
     figure.tight_layout(w_pad=1.2)
     method_legend(figure, titles, reported=_has_reported(number) or _has_reported(distance))
     return embed(figure, f"DAR@{k} against distractor number and distance, {source}")
@@ -126,10 +127,9 @@ def reported_condition() -> HTML:
 
 def _wide(study: Study, column: str) -> tuple[pd.DataFrame, dict[Any, np.ndarray]]:
     """DAR by method (rows) and a column, and the replicates ``(methods, count)`` of each of its values."""
-    table = study.table.reset_index(drop=True)
+    table, sample = study.table, study.replicates["DAR"]
     wide = table.pivot(index="method", columns=column, values="DAR").reindex(table["method"].unique())
-    rows = table.assign(row=table.index).pivot(index="method", columns=column, values="row").reindex(wide.index)
-    return wide, {value: study.replicates["DAR"][rows[value].to_numpy()] for value in wide.columns}
+    return wide, {value: sample[(table[column] == value).to_numpy()] for value in wide.columns}
 
 
 _TOO_FEW_RATIOS = "the sweep needs the ratio 0 and two more", Judged("cannot tell", "the parameters leave it out")
@@ -145,10 +145,8 @@ def few_distractors_suffice(study: Study, titles: Titles, k: int = 1) -> Answer:
     small = ratios[1]
     judged, certain = some_above((wide[0.0] - wide[small]).to_numpy(), sample[0.0] - sample[small], CLEARLY_PP)
     hit = [titles[m] for m in wide.index[certain]]
-    return (
-        f"at a ratio of {small:g}, {len(hit)} of {len(wide)} methods are more than {CLEARLY_PP:g} pp below R@{k} beyond chance{listed(hit)}",
-        judged,
-    )
+    found = f"at a ratio of {small:g}, {len(hit)} of {len(wide)} methods are more than {CLEARLY_PP:g} pp below R@{k} beyond chance"
+    return f"{found}{listed(hit)}", judged
 
 
 @claimed
@@ -183,8 +181,7 @@ def _gains(part: Study) -> tuple[pd.DataFrame, np.ndarray]:
     for near, far in pairwise(sorted(distance for distance in wide.columns if np.isfinite(distance))):
         removed, gain = left[near] - left[far], (wide[far] - wide[near]).mean()
         if removed > 0:
-            row = {"from": near, "to": far, "gain": gain, "removed": removed, "per_distractor": gain / removed}
-            rows.append(row)
+            rows.append({"from": near, "to": far, "gain": gain, "removed": removed, "per_distractor": gain / removed})
             drawn.append((sample[far] - sample[near]).mean(axis=0) / removed)
     return pd.DataFrame(rows), np.array(drawn)
 
@@ -206,18 +203,15 @@ def near_distractors_hurt_most(study: Study, titles: Titles, k: int = 1) -> Answ
     found = [(title, *_gains(part)) for title, part in _by_dataset(study)]
     found = [one for one in found if len(one[1]) > 1]
     if not found:
-        return "no dataset has distractors at two distances", Judged("cannot tell", "there is nothing to compare")
-    where = [title for title, *_ in found]
-    gains, samples = [table["per_distractor"].tolist() for _, table, _ in found], [drawn for *_, drawn in found]
+        return "no dataset has distractors at two distances", NOTHING_TO_COMPARE
+    titled = [(title, table["per_distractor"].tolist()) for title, table, _ in found]
+    gains, samples = [one for _, one in titled], [drawn for *_, drawn in found]
     shortest = min(map(len, gains))
-    means = np.mean([one[:shortest] for one in gains], axis=0)
-    drawn = np.mean([one[:shortest] for one in samples], axis=0)
-    first = [title for title, one in zip(where, gains, strict=True) if int(np.argmax(one)) == 0]
-    listing = "; ".join(
-        f"{title} {one[0]:.2f}, then {max(one[1:]):.2f} at most" for title, one in zip(where, gains, strict=True)
-    )
+    means, drawn = (np.mean([one[:shortest] for one in of], axis=0) for of in (gains, samples))
+    first = [title for title, one in titled if one[0] == max(one)]
+    listing = "; ".join(f"{title} {one[0]:.2f}, then {max(one[1:]):.2f} at most" for title, one in titled)
     text = (
-        f"the first interval has the largest gain per removed distractor on {len(first)} of {len(where)} datasets"
+        f"the first interval has the largest gain per removed distractor on {len(first)} of {len(found)} datasets"
         f"{listed(first)}; pp per distractor: {listing}"
     )
     return text, above(means[0] - means[1:].max(), drawn[0] - drawn[1:].max(axis=0), 0, "pp per distractor")
@@ -234,21 +228,22 @@ def far_distractors_still_hurt(study: Study, titles: Titles, k: int = 1) -> Answ
         samples.append(sample[np.inf] - sample[last])
         names += [f"{titles[m]} on {title} at {last:g} m" for m in wide.index]
     judged, certain = some_above(np.array(values), np.concatenate(samples), CLEARLY_PP)
-    most = int(np.argmax(values))
-    found = (
-        f"{certain.sum()} of {len(values)} pairs beyond chance; most: {names[most]}, {values[most]:.1f} pp below R@{k}"
-    )
-    return found, judged
+    most, where = max(zip(values, names, strict=True), key=itemgetter(0))
+    return f"{certain.sum()} of {len(values)} pairs beyond chance; most: {where}, {most:.1f} pp below R@{k}", judged
 
 
 def _by_condition(study: Study) -> tuple[pd.DataFrame, dict[str, np.ndarray]]:
     """DAR by method and condition, and replicates; traversals of one condition are averaged."""
-    table = study.table.reset_index(drop=True)
+    table, sample = study.table, study.replicates["DAR"]
     wide = table.pivot_table(index="method", columns="condition", values="DAR", sort=False)
     groups = table.groupby(["method", "condition"], sort=False).indices
-    sample = study.replicates["DAR"]
-    found = {c: np.stack([sample[groups[m, c]].mean(axis=0) for m in wide.index]) for c in wide.columns}
-    return wide, found
+    return wide, {c: np.stack([sample[groups[m, c]].mean(axis=0) for m in wide.index]) for c in wide.columns}
+
+
+def _mean_by_condition(study: Study) -> tuple[pd.Series, dict[str, np.ndarray]]:
+    """Mean DAR over methods by condition, and its replicates."""
+    wide, sample = _by_condition(study)
+    return wide.mean(), {name: one.mean(axis=0) for name, one in sample.items()}
 
 
 @claimed
@@ -257,9 +252,9 @@ def own_condition_hurts_most(study: Study, titles: Titles, conditions: tuple[str
     own, (wide, sample) = conditions[0], _by_condition(study)
     others = [name for name in wide.columns if name not in (own, "none")]
     if not others:
-        return "all pools are under the query's condition", Judged("cannot tell", "there is nothing to compare")
+        return "all pools are under the query's condition", NOTHING_TO_COMPARE
     lowest = wide.drop(columns="none").idxmin(axis=1)
-    odd = [titles[method] for method in wide.index if lowest[method] != own]
+    odd = [titles[method] for method, name in lowest.items() if name != own]
     found = f"the query's own condition ({own}) gives the lowest DAR@{k} for {len(wide) - len(odd)} of {len(wide)}"
     values = np.concatenate([wide[name] - wide[own] for name in others])
     judged = all_above(values, np.concatenate([sample[name] - sample[own] for name in others]), 0)
@@ -269,25 +264,22 @@ def own_condition_hurts_most(study: Study, titles: Titles, conditions: tuple[str
 @claimed
 def conditions_between_hurt_less(study: Study, conditions: tuple[str, str], k: int = 1) -> Answer:
     """Other conditions take fewer queries than the query's own and more than the database's (Fig. 7)."""
-    wide, sample = _by_condition(study)
-    means, between = wide.mean(), [name for name in wide.columns if name not in (*conditions, "none")]
+    means, drawn = _mean_by_condition(study)
+    between = [name for name in means.index if name not in (*conditions, "none")]
     if conditions[1] not in means or not between:
-        return "no pools of three conditions", Judged("cannot tell", "there is nothing to compare")
+        return "no pools of three conditions", NOTHING_TO_COMPARE
     own, other = conditions
     steps = [(own, name) for name in between] + [(name, other) for name in between]
-    drawn = {name: one.mean(axis=0) for name, one in sample.items()}
-    values = np.array([means[b] - means[a] for a, b in steps])
-    judged = all_above(values, np.stack([drawn[b] - drawn[a] for a, b in steps]), 0)
-    return _means_in_words(means, k), judged
+    values, samples = (np.array([of[b] - of[a] for a, b in steps]) for of in (means, drawn))
+    return _means_in_words(means, k), all_above(values, samples, 0)
 
 
 @claimed
 def database_condition_hurts_little(study: Study, conditions: tuple[str, str], k: int = 1) -> Answer:
     """Distractors under the database's condition take far fewer queries than those under the query's (Fig. 7)."""
-    wide, sample = _by_condition(study)
-    means, drawn = wide.mean(), {name: one.mean(axis=0) for name, one in sample.items()}
+    means, drawn = _mean_by_condition(study)
     if conditions[1] not in means:
-        return f"no pool of distractors is under {conditions[1]}", Judged("cannot tell", "there is nothing to compare")
+        return f"no pool of distractors is under {conditions[1]}", NOTHING_TO_COMPARE
     (own, across), (own_drawn, across_drawn) = ([of["none"] - of[name] for name in conditions] for of in (means, drawn))
     return _means_in_words(means, k), above(own / 2 - across, own_drawn / 2 - across_drawn, 0)
 
