@@ -21,32 +21,26 @@ def equivalence_table(
     summary: pd.DataFrame, *, k: int = 1, caption: str = "Measured in this run; differences in pp."
 ) -> HTML:
     """Show :func:`artifact.studies.composition.summary` in the form of Tables IV and V."""
-    by = [column for column in _NAMES if column in summary]
-    rows = []
-    for row in summary.to_dict("records"):
-        cells = {_NAMES[column]: row[column] for column in by}
-        for metric in ("DAR", "R"):
-            mean = number(round(row[f"mean_{metric}"], 2) + 0.0, digits=2)
-            cells[f"Δ{metric}@{k}: mean ± std"] = f"{mean} ± {row[f'std_{metric}']:.2f}"
-            cells[f"Δ{metric}@{k}: within 1 pp"] = f"{row[f'within_{metric}']} / {row['pairs']}"
-        rows.append(cells)
-    return table(rows, text=len(by), caption=caption)
+    cells = summary[[column for column in _NAMES if column in summary]].rename(columns=_NAMES)
+    by = cells.columns.size
+    for metric in ("DAR", "R"):
+        means = [number(round(mean, 2) + 0.0, digits=2) for mean in summary[f"mean_{metric}"]]
+        cells[f"Δ{metric}@{k}: mean ± std"] = means + summary[f"std_{metric}"].map(" ± {:.2f}".format)
+        cells[f"Δ{metric}@{k}: within 1 pp"] = summary[f"within_{metric}"].map("{} / ".format) + summary["pairs"].map(
+            str
+        )
+    return table(cells, text=by, caption=caption)
 
 
 def reported_equivalence_table(name: str) -> HTML:
     """Show the paper's Table IV (``"tab04"``) or V (``"tab05"``)."""
-    frame = reported.table(name).rename(
-        columns={"methods": "pairs", "mean_pp": "mean", "std_pp": "std", "within_1pp": "within"}
-    )
+    names = {"methods": "pairs", "mean_pp": "mean", "std_pp": "std", "within_1pp": "within"}
+    frame = reported.table(name).rename(columns=names)
     by = [*(column for column in _NAMES if column in frame), "pairs"]
-    wide = frame.replace({"metric": {"DAR@1": "DAR", "R@1": "R"}}).pivot_table(
-        index=by, columns="metric", values=["mean", "std", "within"], sort=False
-    )
-    wide.columns = ["_".join(column) for column in wide.columns]
-    whole = dict.fromkeys(("within_DAR", "within_R"), int)
-    return equivalence_table(
-        wide.astype(whole).reset_index(), caption="Reported by the paper, not from this run. Differences in pp."
-    )
+    wide = frame.pivot_table(index=by, columns="metric", values=["mean", "std", "within"], sort=False)
+    wide.columns = [f"{value}_{metric.removesuffix('@1')}" for value, metric in wide.columns]
+    wide = wide.astype({"within_DAR": int, "within_R": int}).reset_index()
+    return equivalence_table(wide, caption="Reported by the paper, not from this run. Differences in pp.")
 
 
 def fitting_order(titles: Sequence[str], frame: pd.DataFrame) -> HTML:
@@ -72,17 +66,16 @@ def differences_table(frame: pd.DataFrame, titles: Titles, *, k: int = 1) -> HTM
 
 def _within(study: Study, suppressor: str) -> Answer:
     """Mean differences in DAR and R with one suppression method, and whether they are within 1 pp."""
-    table = study.table.reset_index(drop=True)
-    if len(set(table["dataset"])) == 1:
+    if len(set(study.table["dataset"])) == 1:
         return "one dataset composes nothing", Judged("cannot tell", "single and multi are the same transform")
-    rows = np.flatnonzero(table["suppression"] == suppressor)
-    part, parts = table.iloc[rows], []
-    resolution = 100 / part["queries"].sum()
+    chosen = (study.table["suppression"] == suppressor).to_numpy()
+    rows, parts = study.table[chosen], []
     for metric in ("DAR", "R"):
         column = f"difference_{metric}"
-        one = within(part[column].mean(), study.replicates[column][rows].mean(axis=0), WITHIN_PP, resolution)
-        parts.append(Judged(one.verdict, f"mean Δ{metric}: {one.why}"))
-    return f"of {len(part)} pairs {_counted(part)}", first_of(*parts)
+        drawn = study.replicates[column][chosen].mean(axis=0)
+        verdict, why = within(rows[column].mean(), drawn, WITHIN_PP, 100 / rows["queries"].sum())
+        parts.append(Judged(verdict, f"mean Δ{metric}: {why}"))
+    return f"of {len(rows)} pairs {_counted(rows)}", first_of(*parts)
 
 
 def _unharmed(study: Study, suppressor: str) -> Answer:
