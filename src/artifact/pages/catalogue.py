@@ -8,7 +8,7 @@ from IPython.display import HTML
 from artifact import datasets as data
 from artifact.datasets.published.preparation import in_words
 from artifact.manifest import Manifest
-from artifact.pages.common import Columns, join, markup, or_dash, paragraph, shown, table, whole
+from artifact.pages.common import Columns, join, label, markup, or_dash, paragraph, shown, table, whole
 from artifact.pages.galleries import example_strips
 from artifact.pages.preview import positions_figure
 from artifact.studies import reported
@@ -94,12 +94,9 @@ def full_run_table(frame: pd.DataFrame) -> HTML:
     sums = sums.reset_index().assign(total=lambda rows: rows[steps].sum(axis=1))
     columns: Columns = {"Method": "name", "Images": ("images", "{:,.0f}".format)}
     columns |= {f"{step.removesuffix('_h')} h": (step, hours) for step in steps} | {"Total h": ("total", hours)}
-    columns |= {"Memory GB": ("memory", lambda n: f"{n / 1e9:.1f}"), "Disk GB": ("disk", lambda n: f"{n / 1e9:.1f}")}
-    total = sums["total"].sum()
-    note = (
-        f"{total:,.0f} hours in all, on one machine: {frame['machine'].iloc[0]}. Predicted from short measured probes."
-    )
-    return table(shown(sums, columns), text=1, caption=note)
+    columns |= {f"{what.title()} GB": (what, lambda n: f"{n / 1e9:.1f}") for what in ("memory", "disk")}
+    note = f"{sums['total'].sum():,.0f} hours in all, on one machine: {frame['machine'].iloc[0]}."
+    return table(shown(sums, columns), text=1, caption=f"{note} Predicted from short measured probes.")
 
 
 def how_to_get(frame: pd.DataFrame) -> HTML:
@@ -140,21 +137,14 @@ def terms_table(frame: pd.DataFrame) -> HTML:
 def glance(manifest: Manifest, name: str) -> HTML:
     """Show where the images of a dataset are, examples of a query, its place and a distractor, and how it was prepared."""
     dataset = data.load(manifest, name)
-    notes = [f"{dataset.title}, {dataset.shift}", *dataset.differences]
-    made = {name: one.preparation for name, one in dataset.traversals.items() if one.preparation}
-    lines = [
-        f"{name}: prepared {record['date']}{in_words(record['parameters'] | record['found'])}"
-        for name, record in made.items()
-    ]
-    return join(
-        [
-            markup("<h3>{}</h3>", notes[0]),
-            *(markup('<p class="origin">{}.</p>', note) for note in notes[1:]),
-            positions_figure(dataset),
-            example_strips(dataset),
-            *map(paragraph, lines),
-        ]
-    )
+    parts = [markup("<h3>{}</h3>", f"{dataset.title}, {dataset.shift}")]
+    parts += [label(f"{difference}.") for difference in dataset.differences]
+    parts += [positions_figure(dataset), example_strips(dataset)]
+    for traversal, one in dataset.traversals.items():
+        if record := one.preparation:
+            how = in_words(record["parameters"] | record["found"])
+            parts.append(paragraph(f"{traversal}: prepared {record['date']}{how}"))
+    return join(parts)
 
 
 def methods_table(frame: pd.DataFrame) -> HTML:

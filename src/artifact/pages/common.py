@@ -187,6 +187,11 @@ def whole(value: float) -> str:
     return number(value, digits=0)
 
 
+def two_decimals(value: float) -> str:
+    """Print a number with two decimals."""
+    return number(value, digits=2)
+
+
 def change(value: float, *, digits: int = 1) -> str:
     """Print a difference in percentage points with its sign.
 

@@ -6,7 +6,7 @@ import pandas as pd
 from IPython.display import HTML
 from matplotlib.figure import Figure
 
-from artifact.pages.common import number, shown, table, whole
+from artifact.pages.common import number, shown, table, two_decimals, whole
 from artifact.pages.style import embed
 from artifact.studies.how_fast import symmetry_limit
 
@@ -17,26 +17,24 @@ def costs_figure(times: pd.DataFrame) -> HTML:
     limit = symmetry_limit(first["queries"], first["database"])
     figure = Figure(figsize=(6.5, 0.42 * len(times) + 0.9))
     axes = figure.subplots()
-    colours = ["#999999" if pairs is None or pd.isna(pairs) else "#0072b2" for pairs in times["pairs"]]
-    bars = axes.barh(times["work"], times["share"], color=colours)
-    axes.bar_label(bars, [number(share, digits=2) for share in times["share"]], padding=3)
+    colours = ["#999999" if pd.isna(pairs) else "#0072b2" for pairs in times["pairs"]]
+    bars, shares = axes.barh(times["work"], times["share"], color=colours), times["share"].map(two_decimals)
+    axes.bar_label(bars, shares, padding=3)
     axes.axvline(limit, color="black", linewidth=0.8, linestyle="--")
     axes.text(limit, -0.7, f"pairs left by symmetry: {limit:.2f}", ha="center", va="bottom", fontsize="small")
     axes.invert_yaxis()
     axes.set_xlabel("time, as a share of a bare float32 product over all pairs")
     axes.margins(x=0.12)
-    shares = "; ".join(
-        f"{work}: {number(share, digits=2)}" for work, share in zip(times["work"], times["share"], strict=True)
-    )
-    return embed(figure, f"Bars: time as a share of the bare matrix product. {shares}.")
+    told = "; ".join(f"{work}: {share}" for work, share in zip(times["work"], shares, strict=True))
+    return embed(figure, f"Bars: time as a share of the bare matrix product. {told}.")
 
 
 def costs_table(times: pd.DataFrame) -> HTML:
     """Show the seconds, and how many pairs were looked at again."""
     columns = {
         "Work": "work",
-        "Seconds": ("seconds", lambda value: number(value, digits=2)),
-        "Of the bare product": ("share", lambda value: number(value, digits=2)),
+        "Seconds": ("seconds", two_decimals),
+        "Of the bare product": ("share", two_decimals),
         "Pairs, all views": ("pairs", whole),
         "In float64": ("second", whole),
         "In whole numbers": ("third", whole),
@@ -51,7 +49,7 @@ def growth_figure(sizes: pd.DataFrame) -> HTML:
     axes.plot(millions, sizes["seconds"], marker="o", color="#0072b2")
     axes.set(xlabel="millions of pairs", ylabel="seconds", xlim=(0, None), ylim=(0, None))
     points = zip(millions, sizes["seconds"], strict=True)
-    drawn = "; ".join(f"{number(x, digits=1)} million pairs: {number(y, digits=2)} s" for x, y in points)
+    drawn = "; ".join(f"{number(x, digits=1)} million pairs: {two_decimals(y)} s" for x, y in points)
     return embed(figure, f"Seconds against the number of pairs. {drawn}.")
 
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from artifact.datasets import Dataset
 from artifact.datasets.positives import positives_of
-from artifact.pages.common import join, markup, number, or_dash, shown, table
+from artifact.pages.common import join, markup, number, or_dash, paragraph, shown, table, two_decimals
 from artifact.pages.style import DATABASE_COLOUR, QUERY_COLOUR, embed, in_the_plane
 from artifact.studies.preview import in_words
 
@@ -26,16 +26,15 @@ def traversals_table(frame: pd.DataFrame, unit: str) -> HTML:
     caption = "Spacing: median between neighbours."
     if frame["size"].notna().any():
         columns |= {"Size": ("size", or_dash), "Other sizes": "other_sizes", "Modes": ("modes", or_dash)}
-        columns["Brightness"] = ("brightness", lambda value: number(value, digits=2))
+        columns["Brightness"] = ("brightness", two_decimals)
         caption += " Size, modes and brightness (0 to 1): of at most 25 images of each."
     return table(shown(frame, columns), text=3, caption=caption)
 
 
 def facts(found: Mapping[str, Any], remarks: Sequence[str] = ()) -> HTML:
     """Say how many queries can be evaluated and how many positives they have, and what may be wrong with the dataset."""
-    return join(
-        [markup("<p>{}.</p>", in_words(dict(found))), *(markup("<p><b>Warning:</b> {}.</p>", r) for r in remarks)]
-    )
+    warnings = [markup("<p><b>Warning:</b> {}.</p>", remark) for remark in remarks]
+    return join([paragraph(f"{in_words(dict(found))}."), *warnings])
 
 
 def positions_figure(dataset: Dataset) -> HTML:

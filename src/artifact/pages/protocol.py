@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 from IPython.display import HTML
 
-from artifact.pages.common import Titles, change, number, shown, table
+from artifact.pages.common import Titles, change, shown, table, two_decimals
 
 
 def protocol_table(decisions: pd.DataFrame) -> HTML:
@@ -16,9 +16,6 @@ def protocol_table(decisions: pd.DataFrame) -> HTML:
 
 def sensitivity_table(frame: pd.DataFrame, titles: Titles, *, k: int = 1) -> HTML:
     """Show the changes that open choices make, in percentage points."""
-
-    def two_decimals(value: float) -> str:
-        return number(value, digits=2)
 
     def difference(value: float) -> str:
         return "0" if abs(value) <= 1e-9 else change(value, digits=2)

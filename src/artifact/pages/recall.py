@@ -26,6 +26,7 @@ from artifact.pages.common import (
     markup,
     number,
     table,
+    two_decimals,
     verdict,
 )
 from artifact.pages.style import embed, marker_options, method_legend, percent_axis, tell_values
@@ -105,7 +106,7 @@ def beside_reported(frame: pd.DataFrame, titles: Titles, *, k: int = 1) -> HTML:
         cells = {"Dataset": row["title"], "Method": titles[row["method"]]}
         for metric, heading in headings.items():
             bounds = interval(row[f"{metric}_low"], row[f"{metric}_high"])
-            cells[heading] = markup("{} <small>{}</small>", number(row[metric], digits=2), bounds)
+            cells[heading] = markup("{} <small>{}</small>", two_decimals(row[metric]), bounds)
             if found := judged.get((row["title"], row["method"], f"{metric}@{k} %")):
                 beside = number(row[f"reported_{metric}"]), verdict(found)
                 cells[heading] = markup("{} <small>paper {} {}</small>", cells[heading], *beside)
