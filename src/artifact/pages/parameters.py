@@ -79,10 +79,7 @@ def _if(good: Callable[[Any], bool], allowed: str) -> _Check:
 
 
 def _integer(lowest: int) -> _Check:
-    def good(value: Any) -> bool:
-        return isinstance(value, int) and not isinstance(value, bool) and value >= lowest
-
-    return _if(good, f"whole numbers from {lowest}")
+    return _if(lambda value: type(value) is int and value >= lowest, f"whole numbers from {lowest}")
 
 
 def _number(low: float, high: float) -> _Check:
@@ -144,18 +141,12 @@ _CHECKS: dict[str, _Check] = {
     "datasets": _several(_one_dataset),
     "method": _optional(_one_method),
     "methods": _several(_one_method),
-    "k": _integer(1),
     "seed": _integer(0),
     "similarity": _if(lambda value: value in ("cosine", "l2", "dot"), "'cosine', 'l2', 'dot'"),
-    "ratios": _numbers(0, 1),
     "distances": _numbers(0, float("inf")),
-    "fraction": _number(0, 1),
-    "fractions": _numbers(0, 1),
-    "share": _number(0, 1),
-    "iterations": _integer(1),
-    "draws": _integer(1),
-    **dict.fromkeys(("n_queries", "n_database", "dimension", "n_views"), _integer(1)),
-    "places": _integer(1),
-    "most": _integer(1),
     "statistics": _list_of(STATISTICS.__contains__, quoted(STATISTICS)),
+    **dict.fromkeys(("fraction", "share"), _number(0, 1)),
+    **dict.fromkeys(("fractions", "ratios"), _numbers(0, 1)),
+    **dict.fromkeys(("k", "iterations", "draws", "places", "most"), _integer(1)),
+    **dict.fromkeys(("n_queries", "n_database", "dimension", "n_views"), _integer(1)),
 }

@@ -21,8 +21,6 @@ from artifact.pages.style import page_style, use_style
 from artifact.studies import preview
 from artifact.studies.common import NothingToShowError, single_stage
 
-__all__ = ["NothingToShowError", "Page", "open_page"]
-
 MADE = "Rehearsal: made descriptors. No number on this page is a result; it shows that the page can be made."
 
 
@@ -49,10 +47,8 @@ class Page:
     @property
     def parameters(self) -> dict[str, Any]:
         """All parameters of the notebook, with names in place of ``None`` once they are settled."""
-        settled = ("dataset", "datasets", "method", "methods")
-        return {"profile": self.profile} | {
-            name: getattr(self, name) if name in settled else value for name, value in self.asked.items()
-        }
+        settled = {"dataset", "datasets", "method", "methods"} & self.asked.keys()
+        return {"profile": self.profile, **self.asked} | {name: getattr(self, name) for name in settled}
 
     @property
     def method_titles(self) -> dict[str, str]:
@@ -180,13 +176,11 @@ class Page:
         return data.load(self.manifest, name)
 
     def _has_images(self, name: str) -> bool:
-        loaded = self._load(name)
-        return loaded.query.has_images and loaded.database.has_images
+        return all(traversal.has_images for traversal in self._load(name).traversals.values())
 
     def _has_descriptors(self, name: str) -> bool:
-        loaded = self._load(name)
-        pair = loaded.query, loaded.database
-        return all(extract.is_at_hand(self.manifest, traversal, self.method) for traversal in pair)
+        traversals = self._load(name).traversals.values()
+        return all(extract.is_at_hand(self.manifest, traversal, self.method) for traversal in traversals)
 
     def load_all(self, dataset: str) -> data.Dataset:
         """Load a dataset with all of its traversals."""
