@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from IPython.display import HTML
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
 
-from artifact.pages.style import DATABASE_COLOUR, DISTRACTOR_COLOUR, embed
+from artifact.pages.style import DATABASE_COLOUR, DISTRACTOR_COLOUR, drawing, embed
 
 _CROSS = [(-3.9, 2.3), (1.5, -3.7), (4.4, 0.3), (-4.2, -1.1)]
 _DISTRACTORS = [(4.0, 1.8), (3.6, -2.4), (-2.7, -3.3)]
@@ -16,8 +15,8 @@ _POSITIVES = [(1.5, 1.6), (-1.7, 1.3), (-0.9, -1.9)]
 
 def retrieval_diagram() -> HTML:
     """Fig. 4: what is in the database for recall (a) and for DAR (b); drawn, not measured."""
-    figure = Figure(figsize=(7.2, 3.9))
-    for axes, title, extra in zip(figure.subplots(1, 2), ("(a) Recall", "(b) DAR"), ([], _DISTRACTORS), strict=True):
+    figure, panels = drawing((7.2, 3.9), columns=2)
+    for axes, title, extra in zip(panels, ("(a) Recall", "(b) DAR"), ([], _DISTRACTORS), strict=True):
         axes.add_patch(Circle((0, 0), 2.8, facecolor="#e7f5e9", edgecolor="#2e7d32", linestyle="--", linewidth=1.4))
         _places(axes, _CROSS, 0.6, DATABASE_COLOUR)
         _places(axes, _POSITIVES, 0.66, DATABASE_COLOUR)

@@ -11,10 +11,9 @@ import numpy as np
 import pandas as pd
 from IPython.display import HTML
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from artifact.pages.common import CLEARLY_PP, NOTHING_TO_COMPARE, Answer, Titles, claimed, listed, table
-from artifact.pages.style import REPORTED_LINE, embed, marker_options, method_legend, percent_axis, tell_values
+from artifact.pages.style import REPORTED_LINE, drawing, embed, marker_options, method_legend, percent_axis, tell_values
 from artifact.studies import reported
 from artifact.studies.common import Study
 from artifact.studies.judging import Judged, above, all_above, some_above
@@ -26,8 +25,7 @@ def number_and_distance(
     number: pd.DataFrame, distance: pd.DataFrame, titles: Titles, *, k: int = 1, source: str = "measured in this run"
 ) -> HTML:
     """Fig. 6: DAR@K against the number of distractors (a) and their minimum distance in metres (b)."""
-    figure = Figure(figsize=(8.2, 3.3))
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = drawing((8.2, 3.3), columns=2)
     for method, rows in number.groupby("method", sort=False):
         _draw_curve(left, rows["ratio"], rows, method, titles)
         if "draw_low" in rows:
@@ -37,8 +35,7 @@ def number_and_distance(
     _draw_distance(right, distance, titles)
     for axes in (left, right):
         percent_axis(axes, f"DAR@{k} (%)")
-    figure.tight_layout(w_pad=1.2)
-    method_legend(figure, titles, reported=_has_reported(number) or _has_reported(distance))
+    method_legend(figure, titles, reported=_has_reported(number) or _has_reported(distance), gap=1.2)
     return embed(figure, f"DAR@{k} against distractor number and distance, {source}")
 
 
@@ -96,8 +93,7 @@ def condition(
     table = table.assign(pool=_pools(table))
     means = table.groupby("pool", sort=False)["DAR"].mean().sort_values()
     order = [*(name for name in means.index if name != "none"), "none"]
-    figure = Figure(figsize=(6.4, 3.4))
-    axes = figure.subplots()
+    figure, axes = drawing((6.4, 3.4))
     for method, rows in table.groupby("method", sort=False):
         _draw_curve(axes, range(len(order)), rows.set_index("pool").loc[order], method, titles)
     query = table["pool"].iloc[0] if "traversal" in table else query_condition
@@ -105,7 +101,6 @@ def condition(
     axes.set_xticks(range(len(order)), labels)
     axes.set_xlabel("Distractor set")
     percent_axis(axes, f"DAR@{k} (%)")
-    figure.tight_layout()
     method_legend(figure, titles, reported=_has_reported(table))
     return embed(figure, f"DAR@{k} by the condition of the distractors, {source}")
 

@@ -7,12 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from IPython.display import HTML
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 
 from artifact.metrics.statistics import replicates
 from artifact.pages.common import Answer, claimed
 from artifact.pages.galleries import spread, tiles
-from artifact.pages.style import bare, colour_handle, embed, legend_below, tell_values
+from artifact.pages.style import bare, colour_handle, drawing, embed, legend_below, tell_values
 from artifact.studies.common import PERCENT
 from artifact.studies.embedding import Embedding, aligned, mixed
 from artifact.studies.judging import above
@@ -31,9 +30,9 @@ def embedding(found: Embedding, conditions: Sequence[str], title: str) -> HTML:
     images = [(data.query if row < found.n_queries else data.database, int(found.images[row])) for row in told]
     with_images = all(part.has_images for part, _ in images)
     texts = [f"{part.condition}, image {i}{f' ⧉{n}' if with_images else ''}" for n, (part, i) in enumerate(images)]
-    figure = Figure(figsize=(8.4, 4.0))
-    before, after = figure.subplots(1, 2)
-    for axes, points, name in ((before, found.before, "original"), (after, found.after, "suppressed with INLP")):
+    figure, panels = drawing((8.4, 4.0), columns=2)
+    shown = {"original": found.before, "suppressed with INLP": found.after}
+    for axes, (name, points) in zip(panels, shown.items(), strict=True):
         axes.add_collection(LineCollection(points[found.partners], colors="0.6", linewidths=0.5, alpha=0.6, zorder=1))
         parts = points[: found.n_queries], points[found.n_queries :]
         for part, colour, marker in zip(parts, _COLOURS, _MARKERS, strict=True):
@@ -41,7 +40,6 @@ def embedding(found: Embedding, conditions: Sequence[str], title: str) -> HTML:
         tell_values(axes, points[told], texts, size=30)
         axes.set_title(f"{title}, {name}", fontsize=9.5)
         bare(axes, "black")
-    figure.tight_layout()
     names = (f"query ({conditions[0]})", f"database ({conditions[1]})")
     legend_below(figure, [colour_handle(*key) for key in zip(_COLOURS, names, _MARKERS, strict=True)])
     text = "UMAP of query and database descriptors before and after condition suppression"

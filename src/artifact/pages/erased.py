@@ -7,10 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 from IPython.display import HTML
-from matplotlib.figure import Figure
 
 from artifact.pages.common import number, table
-from artifact.pages.style import embed, legend_below, percent_axis, tell_values
+from artifact.pages.style import drawing, embed, legend_below, percent_axis, tell_values
 from artifact.studies.common import PERCENT
 from artifact.studies.erased import KINDS, Erased
 
@@ -49,8 +48,7 @@ def erased_similarities(erased: Erased) -> str:
 
 def iterations(table: pd.DataFrame) -> HTML:
     """R@1 and DAR@1 after each INLP iteration, and how well the next classifier still tells the conditions."""
-    figure = Figure(figsize=(7.2, 3.1))
-    axes = figure.subplots()
+    figure, axes = drawing((7.2, 3.1))
     curves = {
         "R": ("R@1", "#2e8b57", "o"),
         "DAR": ("DAR@1", "#1f77b4", "s"),
@@ -63,15 +61,13 @@ def iterations(table: pd.DataFrame) -> HTML:
     axes.axhline(50, linestyle=":", color="0.55", linewidth=0.9)
     axes.set_xlabel("INLP iterations")
     percent_axis(axes, "percent")
-    figure.tight_layout()
     legend_below(figure)
     return embed(figure, "R@1, DAR@1 and training accuracy after each INLP iteration")
 
 
 def similarities(found: Mapping[str, Mapping[str, np.ndarray]], views: Sequence[str]) -> HTML:
     """Distributions of the cosine for the three kinds of pairs, one panel per view."""
-    figure = Figure(figsize=(3.1 * len(views) + 0.4, 2.9))
-    panels = figure.subplots(1, len(views), squeeze=False)[0]
+    figure, (panels,) = drawing((3.1 * len(views) + 0.4, 2.9), columns=len(views), squeeze=False)
     for axes, view in zip(panels, views, strict=True):
         pooled = np.concatenate(list(found[view].values()))
         edges = np.linspace(*np.quantile(pooled, [0.001, 0.999]), 60)
@@ -83,6 +79,5 @@ def similarities(found: Mapping[str, Mapping[str, np.ndarray]], views: Sequence[
             axes.axvline(np.median(values), color=_KINDS[kind]["color"], linewidth=0.9, linestyle=":")
         axes.set(title=view, yticks=[], ylim=(0, None), xlabel="cosine similarity")
     panels[0].set_ylabel("share of pairs")
-    figure.tight_layout()
     legend_below(figure)
     return embed(figure, f"Distributions of the cosine for {len(KINDS)} kinds of pairs: {', '.join(views)}")

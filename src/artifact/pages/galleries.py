@@ -17,7 +17,7 @@ from artifact.datasets.images import read_image
 from artifact.datasets.positives import positives_of
 from artifact.metrics.evaluation import Evaluation
 from artifact.pages.common import in_unit, markup, paragraph
-from artifact.pages.style import QUERY_COLOUR, RIGHT_COLOUR, WRONG_COLOUR, embed, show_image
+from artifact.pages.style import QUERY_COLOUR, RIGHT_COLOUR, WRONG_COLOUR, drawing, embed, show_image
 from artifact.studies.erased import Erased
 from artifact.studies.evaluated import Measured
 
@@ -37,8 +37,7 @@ def contact_sheet(dataset: Dataset, n: int = 5) -> HTML:
     if not rows:
         return _not_here(dataset)
     places = np.linspace(0, len(dataset.query) - 1, n + 2).round().astype(int)[1:-1]
-    figure = Figure(figsize=(2.15 * n, 1.72 * len(rows)))
-    axes = figure.subplots(len(rows), n, squeeze=False)
+    figure, axes = drawing((2.15 * n, 1.72 * len(rows)), len(rows), n, squeeze=False)
     for row, traversal in zip(axes, rows, strict=True):
         for panel, position in zip(row, dataset.query.positions[places], strict=True):
             nearest = np.linalg.norm(traversal.positions - position, axis=1).argmin()
@@ -199,8 +198,7 @@ def example_strips(dataset: Dataset, n: int = 3) -> HTML:
 
 def _strips(strips: list[list[Shown]], titles: Sequence[str], text: str) -> HTML:
     """Show rows of images with coloured frames: titles above the first row, notes under each image."""
-    figure = Figure(figsize=(6.6, 1.62 * len(strips) + 0.3))
-    axes = figure.subplots(len(strips), len(titles), squeeze=False)
+    figure, axes = drawing((6.6, 1.62 * len(strips) + 0.3), len(strips), len(titles), squeeze=False)
     for row, strip in zip(axes, strips, strict=True):
         for panel, (traversal, index, colour, note) in zip(row, strip, strict=True):
             show_image(panel, picture(traversal, index), colour)

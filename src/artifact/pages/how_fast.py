@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pandas as pd
 from IPython.display import HTML
-from matplotlib.figure import Figure
 
 from artifact.pages.common import number, shown, table, two_decimals, whole
-from artifact.pages.style import embed
+from artifact.pages.style import drawing, embed
 from artifact.studies.how_fast import symmetry_limit
 
 
@@ -15,8 +14,7 @@ def costs_figure(times: pd.DataFrame) -> HTML:
     """Draw what each work costs as a share of the bare product, with the limit that symmetry sets."""
     first = times.iloc[0]
     limit = symmetry_limit(first["queries"], first["database"])
-    figure = Figure(figsize=(6.5, 0.42 * len(times) + 0.9))
-    axes = figure.subplots()
+    figure, axes = drawing((6.5, 0.42 * len(times) + 0.9))
     colours = ["#999999" if pd.isna(pairs) else "#0072b2" for pairs in times["pairs"]]
     bars, shares = axes.barh(times["work"], times["share"], color=colours), times["share"].map(two_decimals)
     axes.bar_label(bars, shares, padding=3)
@@ -44,8 +42,8 @@ def costs_table(times: pd.DataFrame) -> HTML:
 
 def growth_figure(sizes: pd.DataFrame) -> HTML:
     """Draw the time of :func:`artifact.studies.how_fast.growth` against the number of pairs."""
-    figure, millions = Figure(figsize=(3.8, 2.6)), sizes["pairs"] / 1e6
-    axes = figure.subplots()
+    figure, axes = drawing((3.8, 2.6))
+    millions = sizes["pairs"] / 1e6
     axes.plot(millions, sizes["seconds"], marker="o", color="#0072b2")
     axes.set(xlabel="millions of pairs", ylabel="seconds", xlim=(0, None), ylim=(0, None))
     points = zip(millions, sizes["seconds"], strict=True)

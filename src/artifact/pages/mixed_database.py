@@ -8,7 +8,6 @@ import numpy as np
 from IPython.display import HTML
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from artifact.datasets import Traversal
@@ -16,7 +15,7 @@ from artifact.metrics.evaluation import Evaluation
 from artifact.pages import style
 from artifact.pages.common import NO_LOSS_PP, Answer, Titles, change, claimed, in_unit, number, table
 from artifact.pages.galleries import spread, tiles
-from artifact.pages.style import bare, colour_handle, embed, in_the_plane, legend_below, tell_values
+from artifact.pages.style import bare, colour_handle, drawing, embed, in_the_plane, legend_below, tell_values
 from artifact.studies import reported
 from artifact.studies.common import PERCENT
 from artifact.studies.judging import all_above, some_above
@@ -37,8 +36,8 @@ def mixed_database(
     A row of panels for each method, a column for each evaluation with its title. ``conditions`` are those of the query,
     the database and the added images, for the legend.
     """
-    figure = Figure(figsize=(3.9 * len(panels) + 0.3, 3.7 * len(found)))
-    axes = figure.subplots(len(found), len(panels), squeeze=False)
+    size = 3.9 * len(panels) + 0.3, 3.7 * len(found)
+    figure, axes = drawing(size, len(found), len(panels), squeeze=False)
     shares: list[str] = []
     shown: dict[tuple[str, int], tuple[int, Traversal, int]] = {}
     for row, (method, one) in zip(axes, found.items(), strict=True):
@@ -49,7 +48,6 @@ def mixed_database(
             panel.set_title(f"{titles[method]}, {title}\nR@1 {share}", fontsize=9.5)
             _tell_matches(panel, one, result, shown)
             shares.append(f"{titles[method]} {title} {share}")
-    figure.tight_layout()
     query, database, added = conditions
     with_fit = any(len(one.fitted_queries) for one in found.values())
     handles = [colour_handle(style.FITTING_COLOUR, "fitting region", "D")] if with_fit else []

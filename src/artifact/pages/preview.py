@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from IPython.display import HTML
-from matplotlib.figure import Figure
 
 from artifact.datasets import Dataset
 from artifact.datasets.positives import positives_of
 from artifact.pages.common import join, markup, number, or_dash, paragraph, shown, table, two_decimals
-from artifact.pages.style import DATABASE_COLOUR, QUERY_COLOUR, embed, in_the_plane
+from artifact.pages.style import DATABASE_COLOUR, QUERY_COLOUR, drawing, embed, in_the_plane
 from artifact.studies.preview import in_words
 
 _MANY = 1500  # points from which on a plot is stored as an image: as drawings they would make a page slow
@@ -42,8 +41,7 @@ def positions_figure(dataset: Dataset) -> HTML:
 
     Positions in metres are drawn as a map; frames and pairs as a line each, query above database.
     """
-    figure = Figure(figsize=(8.0, 3.2))
-    where, positives = figure.subplots(1, 2)
+    figure, (where, positives) = drawing((8.0, 3.2), columns=2)
     origin = dataset.database.positions.mean(axis=0)
     for part, colour, height in ((dataset.database, DATABASE_COLOUR, 0.0), (dataset.query, QUERY_COLOUR, 1.0)):
         x, y = in_the_plane(part.positions, origin).T

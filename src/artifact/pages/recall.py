@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 from IPython.display import HTML
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from artifact.metrics.statistics import ends, rank_agreement
 from artifact.pages.common import (
@@ -29,7 +28,7 @@ from artifact.pages.common import (
     two_decimals,
     verdict,
 )
-from artifact.pages.style import embed, marker_options, method_legend, percent_axis, tell_values
+from artifact.pages.style import drawing, embed, marker_options, method_legend, percent_axis, tell_values
 from artifact.studies import reported, verdicts
 from artifact.studies.common import METRICS, Study
 from artifact.studies.judging import changes_places, some_above
@@ -119,14 +118,12 @@ def scatter(table: pd.DataFrame, titles: Titles, *, k: int = 1, source: str = "m
     panels = [rows for _, rows in table.groupby("dataset", sort=False)]
     columns = min(4 if len(panels) in (4, 7, 8) else 3, len(panels))
     rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(2.5 * columns, 2.5 * rows))
-    axes = figure.subplots(rows, columns, squeeze=False)
+    figure, axes = drawing((2.5 * columns, 2.5 * rows), rows, columns, squeeze=False)
     for panel, points in zip(axes.flat, panels, strict=False):
         _draw_points(panel, points, titles)
         panel.set(title=points["title"].iloc[0], xlabel=f"R@{k} (%)", ylabel=f"DAR@{k} (%)")
     for panel in axes.flat[len(panels) :]:
         panel.set_axis_off()
-    figure.tight_layout()
     method_legend(figure, titles, lines=False)
     return embed(figure, f"DAR@{k} against R@{k} of {len(titles)} methods on {len(panels)} datasets, {source}")
 

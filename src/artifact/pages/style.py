@@ -95,20 +95,29 @@ def page_style() -> HTML:
     return HTML(f'<style class="artifact">{text}</style>')
 
 
-def legend_below(figure: Figure, handles: Sequence[Artist] | None = None, *, columns: int = 3) -> None:
-    """Draw one legend below a figure: of the handles, else of what its first panel labels."""
+def drawing(size: tuple[float, float], rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, Any]:
+    """Return an empty figure of so many inches and its panels, as :meth:`matplotlib.figure.Figure.subplots` does."""
+    figure = Figure(figsize=size)
+    return figure, figure.subplots(rows, columns, **options)
+
+
+def legend_below(
+    figure: Figure, handles: Sequence[Artist] | None = None, *, columns: int = 3, gap: float | None = None
+) -> None:
+    """Lay out a figure's panels, ``gap`` apart, and draw one legend below: of the handles, else of the first panel."""
+    figure.tight_layout(w_pad=gap)
     handles = figure.axes[0].get_legend_handles_labels()[0] if handles is None else handles
     columns = min(columns, len(handles))
     figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=columns)
 
 
-def method_legend(figure: Figure, titles: Titles, *, lines: bool = True, reported: bool = False) -> None:
-    """Draw one legend of all methods below a figure, with the dashed line of the paper's values if there is one."""
+def method_legend(figure: Figure, titles: Titles, *, lines: bool = True, reported: bool = False, **gap: float) -> None:
+    """Draw a :func:`legend_below` of all methods, with the dashed line of the paper's values if there is one."""
     line = "-" if lines else "none"
     handles = [Line2D([], [], label=t, linestyle=line, **marker_options(name, titles)) for name, t in titles.items()]
     if reported:
         handles.append(Line2D([], [], color="0.3", label="the paper", **REPORTED_LINE))
-    legend_below(figure, handles, columns=4)
+    legend_below(figure, handles, columns=4, **gap)
 
 
 def colour_handle(colour: str, label: str, marker: str = "s") -> Line2D:

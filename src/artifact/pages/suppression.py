@@ -8,11 +8,10 @@ import numpy as np
 import pandas as pd
 from IPython.display import HTML
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from artifact.metrics.statistics import holm, p_values
 from artifact.pages.common import NO_LOSS_PP, Answer, Finding, Titles, change, claimed, join, markup, number, table
-from artifact.pages.style import SUPPRESSION_COLOURS, SUPPRESSION_MARKERS, embed, legend_below, tell_values
+from artifact.pages.style import SUPPRESSION_COLOURS, SUPPRESSION_MARKERS, drawing, embed, legend_below, tell_values
 from artifact.studies import reported
 from artifact.studies.common import Study
 from artifact.studies.fitted import LOW_RANK
@@ -82,9 +81,10 @@ def heat_maps(table: pd.DataFrame, titles: Titles, *, k: int = 1) -> HTML:
     names = ("method", "dataset") if across is titles else ("dataset", "method")
     drawn = []
     for column, (name, better, colours) in _QUANTITIES.items():
-        figure = Figure(figsize=(len(SUPPRESSORS) * (1.4 + 0.6 * len(across)), 0.9 + 0.27 * len(down)))
+        size = len(SUPPRESSORS) * (1.4 + 0.6 * len(across)), 0.9 + 0.27 * len(down)
+        figure, panels = drawing(size, columns=len(SUPPRESSORS))
         limit = max(10.0, float(np.nanmax(np.abs(table[column]))))
-        for panel, suppressor in zip(figure.subplots(1, len(SUPPRESSORS)), SUPPRESSORS, strict=True):
+        for panel, suppressor in zip(panels, SUPPRESSORS, strict=True):
             part = table[table["suppression"] == suppressor].pivot(index=names[1], columns=names[0], values=column)
             _heat_map(panel, part.reindex(index=list(down), columns=list(across)).to_numpy(), limit, colours)
             panel.set_yticks(range(len(down)), list(down.values()))
@@ -118,9 +118,9 @@ def _heat_map(axes: Axes, values: np.ndarray, limit: float, colours: str) -> Non
 
 def fraction_curves(means: pd.DataFrame, *, k: int = 1, source: str = "measured in this run") -> HTML:
     """Fig. 10: mean change of DAR@K (a) and R@K (b) in percentage points against the query fitting fraction."""
-    figure = Figure(figsize=(8.0, 3.2))
-    panels = {"change_DAR": f"(a) ΔDAR@{k} (pp)", "change_R": f"(b) ΔR@{k} (pp)"}
-    for axes, (column, title) in zip(figure.subplots(1, 2), panels.items(), strict=True):
+    figure, panels = drawing((8.0, 3.2), columns=2)
+    titles = {"change_DAR": f"(a) ΔDAR@{k} (pp)", "change_R": f"(b) ΔR@{k} (pp)"}
+    for axes, (column, title) in zip(panels, titles.items(), strict=True):
         axes.axhline(0, linestyle="--", color="gray", linewidth=0.9)
         for name, rows in means.sort_values("fraction", kind="stable").groupby("suppression", sort=False):
             dots = {"color": SUPPRESSION_COLOURS[name], "marker": SUPPRESSION_MARKERS[name], "markersize": 4.5}
@@ -129,8 +129,7 @@ def fraction_curves(means: pd.DataFrame, *, k: int = 1, source: str = "measured 
             tell_values(axes, rows[["fraction", column]], texts)
         axes.set(title=title, xlim=(-0.01, 0.51), xticks=np.arange(0, 0.51, 0.1), xlabel="Query fitting fraction")
         axes.grid(visible=True)
-    figure.tight_layout(w_pad=1.4)
-    legend_below(figure)
+    legend_below(figure, gap=1.4)
     return embed(figure, f"Mean change of DAR@{k} and R@{k} against the query fitting fraction, {source}")
 
 

@@ -6,10 +6,9 @@ import numpy as np
 import pandas as pd
 from IPython.display import HTML
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from artifact.pages.common import Titles, change, listed, number, shown, table
-from artifact.pages.style import SUPPRESSION_COLOURS, SUPPRESSION_MARKERS, embed, legend_below, tell_values
+from artifact.pages.style import SUPPRESSION_COLOURS, SUPPRESSION_MARKERS, drawing, embed, legend_below, tell_values
 
 _SHIFTS = {"original": -0.22, "LEACE": 0.0, "INLP": 0.22}
 _COLOURS = {"original": "black", **SUPPRESSION_COLOURS}
@@ -58,8 +57,8 @@ def within_table(frame: pd.DataFrame, titles: Titles) -> HTML:
 def sided_gaps(table: pd.DataFrame, titles: Titles) -> HTML:
     """Gap between distractors of the other and of the query's own side by one statistic, with interval and control."""
     datasets = dict(zip(table["dataset"], table["title"], strict=True))
-    figure = Figure(figsize=(2.75 * len(titles) + 1.7, 0.42 * len(datasets) + 1.5))
-    panels = figure.subplots(1, len(titles), squeeze=False)[0]
+    size = 2.75 * len(titles) + 1.7, 0.42 * len(datasets) + 1.5
+    figure, (panels,) = drawing(size, columns=len(titles), squeeze=False)
     lowest, highest = table[["gap_low", "control"]].min().min(), table[["gap_high", "control"]].max().max()
     room = 0.05 * (highest - lowest) + 0.1
     limits = lowest - room, highest + room
@@ -72,7 +71,6 @@ def sided_gaps(table: pd.DataFrame, titles: Titles) -> HTML:
         axes.set_yticks(range(len(datasets)), list(datasets.values()))
         axes.invert_yaxis()
         axes.grid(visible=True, axis="x")
-    figure.tight_layout()
     legend_below(figure, columns=4)
     text = "Gap: R@1 with distractors of the other side minus R@1 with those of the query's own side, per dataset and method"
     return embed(figure, text)
