@@ -45,16 +45,10 @@ def provenance(page: Page, *studies: Any) -> HTML:
 
 def code_revision() -> str:
     """Return the package version and, in a git checkout, the commit and whether files differ from it."""
-    release = version("artifact")
-    folder = Path(__file__).resolve().parents[3]
+    release, folder = f"artifact {version('artifact')}", Path(__file__).resolve().parents[3]
+    described = ["describe", "--always", "--exclude=*", "--abbrev=12", "--dirty= with local changes"]
     try:
-        commit = _git(folder, "rev-parse", "--short=12", "HEAD")
-        changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
+        done = subprocess.run(["git", "-C", folder, *described], check=True, capture_output=True, text=True)
     except (OSError, subprocess.CalledProcessError):
-        return f"artifact {release}"
-    return f"artifact {release}, commit {commit}{' with local changes' if changed else ''}"
-
-
-def _git(folder: Path, *arguments: str) -> str:
-    done = subprocess.run(["git", "-C", str(folder), *arguments], check=True, capture_output=True, text=True)
-    return done.stdout.strip()
+        return release
+    return f"{release}, commit {done.stdout.strip()}"
