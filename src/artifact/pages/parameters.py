@@ -82,16 +82,12 @@ def _integer(lowest: int) -> _Check:
     return _if(lambda value: type(value) is int and value >= lowest, f"whole numbers from {lowest}")
 
 
-def _number(low: float, high: float) -> _Check:
-    return _if(lambda value: _is_number(value) and low <= value <= high, f"a number from {low:g} to {high:g}")
-
-
 def _list_of(good: Callable[[Any], bool], what: str) -> _Check:
     return _if(lambda value: isinstance(value, list) and bool(value) and all(map(good, value)), f"a list of {what}")
 
 
-def _numbers(low: float, high: float) -> _Check:
-    return _list_of(lambda value: _is_number(value) and low <= value <= high, f"numbers from {low:g} to {high:g}")
+def _is_share(value: Any) -> bool:
+    return _is_number(value) and 0 <= value <= 1
 
 
 def _profile(value: Any, manifest: Manifest) -> str | None:
@@ -143,10 +139,10 @@ _CHECKS: dict[str, _Check] = {
     "methods": _several(_one_method),
     "seed": _integer(0),
     "similarity": _if(lambda value: value in ("cosine", "l2", "dot"), "'cosine', 'l2', 'dot'"),
-    "distances": _numbers(0, float("inf")),
+    "distances": _list_of(lambda value: _is_number(value) and value >= 0, "numbers from 0 to inf"),
     "statistics": _list_of(STATISTICS.__contains__, quoted(STATISTICS)),
-    **dict.fromkeys(("fraction", "share"), _number(0, 1)),
-    **dict.fromkeys(("fractions", "ratios"), _numbers(0, 1)),
+    **dict.fromkeys(("fraction", "share"), _if(_is_share, "a number from 0 to 1")),
+    **dict.fromkeys(("fractions", "ratios"), _list_of(_is_share, "numbers from 0 to 1")),
     **dict.fromkeys(("k", "iterations", "draws", "places", "most"), _integer(1)),
     **dict.fromkeys(("n_queries", "n_database", "dimension", "n_views"), _integer(1)),
 }
