@@ -57,11 +57,10 @@ def collect(page: Page, fractions: Sequence[float], *, seed: int = 0) -> Collect
 
 def _number_and_distance(page: Page, seed: int) -> tuple[list[Finding], list[Study]]:
     """Fig. 6: (a) on the first dataset with a threshold in metres, (b) on all of them."""
-    first, titles = page.choose(unit="metres"), page.method_titles
-    number = studies.distractors.distractor_number(page.manifest, first.dataset, page.methods, RATIOS, seed=seed)
-    distance = studies.distractors.by_distance_everywhere(
-        page.manifest, page.datasets, page.methods, DISTANCES, seed=seed
-    )
+    manifest, methods, titles = page.manifest, page.methods, page.method_titles
+    first = page.choose(unit="metres").dataset
+    number = studies.distractors.distractor_number(manifest, first, methods, RATIOS, seed=seed)
+    distance = studies.distractors.by_distance_everywhere(manifest, page.datasets, methods, DISTANCES, seed=seed)
     return [
         distractors.few_distractors_suffice(number, titles),
         distractors.more_distractors_hurt_more(number, titles),
@@ -96,34 +95,27 @@ def _mixed(page: Page, seed: int) -> tuple[list[Finding], list[MixedDatabase]]:
 
 def _embedding(page: Page, seed: int) -> tuple[list[Finding], list[Described]]:
     """Fig. 3, on a dataset with a threshold in metres if there is one."""
-    page = page.single_stage()
-    chosen = page.choose(prefer="metres")
-    one = studies.embedding.embedding(page.manifest, chosen.dataset, page.methods[-1], seed=seed)
-    return [embedding.suppression_mixes_conditions(one, seed), embedding.suppression_aligns_places(one, seed)], [
-        one.described
-    ]
+    page = page.single_stage().choose(prefer="metres")
+    one = studies.embedding.embedding(page.manifest, page.dataset, page.methods[-1], seed=seed)
+    found = [embedding.suppression_mixes_conditions(one, seed), embedding.suppression_aligns_places(one, seed)]
+    return found, [one.described]
 
 
 def _suppression(page: Page, seed: int, *, fractions: Sequence[float]) -> tuple[list[Finding], list[Study]]:
     """Figs. 8 and 10, Tables IV and V."""
     page = page.single_stage()
-    manifest, names, methods, titles = page.manifest, page.datasets, page.methods, page.method_titles
+    manifest, names, methods = page.manifest, page.datasets, page.methods
     order = studies.composition.order_of_fitting(manifest, names)
     changes = studies.suppression.suppression_table(manifest, names, methods, seed=seed)
     multi = studies.composition.single_against_multi(manifest, order, methods, seed=seed)
     irrelevant = studies.composition.irrelevant_conditions(manifest, order, methods, seed=seed)
     by_fraction = studies.suppression.fitting_fraction(manifest, names, methods, fractions, seed=seed)
-    found = [
-        *suppression.of_changes(changes, titles),
-        composition.one_inlp_for_all(multi),
-        composition.one_leace_for_all(multi),
-    ]
+    found = [*suppression.of_changes(changes, page.method_titles), *suppression.of_fractions(by_fraction)]
+    found += [composition.one_inlp_for_all(multi), composition.one_leace_for_all(multi)]
     if len(irrelevant.table):
-        found += [
-            composition.inlp_leaves_others_unharmed(irrelevant),
-            composition.leace_leaves_others_unharmed(irrelevant),
-        ]
-    return [*found, *suppression.of_fractions(by_fraction)], [changes, multi, irrelevant, by_fraction]
+        unharmed = composition.inlp_leaves_others_unharmed, composition.leace_leaves_others_unharmed
+        found += [claim(irrelevant) for claim in unharmed]
+    return found, [changes, multi, irrelevant, by_fraction]
 
 
 def tally(found: Sequence[Finding]) -> HTML:
