@@ -18,15 +18,16 @@ def retrieval_diagram() -> HTML:
     figure, panels = drawing((7.2, 3.9), columns=2)
     for axes, title, extra in zip(panels, ("(a) Recall", "(b) DAR"), ([], _DISTRACTORS), strict=True):
         axes.add_patch(Circle((0, 0), 2.8, facecolor="#e7f5e9", edgecolor="#2e7d32", linestyle="--", linewidth=1.4))
-        _places(axes, _CROSS, 0.6, DATABASE_COLOUR)
-        _places(axes, _POSITIVES, 0.66, DATABASE_COLOUR)
-        _places(axes, extra, 0.6, DISTRACTOR_COLOUR)
+        sets = (_CROSS, 0.6, DATABASE_COLOUR), (_POSITIVES, 0.66, DATABASE_COLOUR), (extra, 0.6, DISTRACTOR_COLOUR)
+        for places, size, colour in sets:
+            for place in places:
+                axes.add_patch(_place(*place, size, colour))
         _robot(axes)
         axes.text(0, -2.45, "threshold", ha="center", va="center", fontsize=7.5, color="#2e7d32")
         axes.set(xlim=(-5.1, 5.3), ylim=(-4.4, 3.6), aspect="equal", title=title)
         axes.set_axis_off()
-        border = {"boxstyle": "round,pad=0,rounding_size=0.2", "fill": False, "linewidth": 0.8}
-        axes.add_patch(FancyBboxPatch((-5.0, -4.3), 10.2, 7.8, **border))
+        corners = "round,pad=0,rounding_size=0.2"
+        axes.add_patch(FancyBboxPatch((-5.0, -4.3), 10.2, 7.8, corners, fill=False, linewidth=0.8))
     handles = [_place(0, 0, 1, colour) for colour in (DATABASE_COLOUR, DISTRACTOR_COLOUR)]
     figure.legend(handles, ["Cross-condition database", "Distractors (query's condition)"], loc="lower center", ncols=2)
     figure.tight_layout(rect=(0, 0.07, 1, 1))
@@ -36,11 +37,6 @@ def retrieval_diagram() -> HTML:
         "query's own condition are added outside the threshold circle.",
         width=720,
     )
-
-
-def _places(axes: Axes, places: list[tuple[float, float]], size: float, colour: str) -> None:
-    for x, y in places:
-        axes.add_patch(_place(x, y, size, colour))
 
 
 def _place(x: float, y: float, size: float, colour: str) -> Rectangle:

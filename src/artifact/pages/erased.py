@@ -13,10 +13,7 @@ from artifact.pages.style import drawing, embed, legend_below, percent_axis, tel
 from artifact.studies.common import PERCENT
 from artifact.studies.erased import KINDS, Erased
 
-_KINDS = {
-    kind: {"color": colour, "linestyle": line}
-    for kind, colour, line in zip(KINDS, ("#2e8b57", "#0000ff", "#ffa500"), ("-", "--", "-."), strict=True)
-}
+_KINDS = dict(zip(KINDS, (("#2e8b57", "-"), ("#0000ff", "--"), ("#ffa500", "-.")), strict=True))
 
 
 def erased_table(erased: Erased) -> HTML:
@@ -74,9 +71,10 @@ def similarities(found: Mapping[str, Mapping[str, np.ndarray]], views: Sequence[
         centres = (edges[1:] + edges[:-1]) / 2
         for kind, values in found[view].items():
             height = np.histogram(values, edges)[0] / max(1, len(values))
-            axes.fill_between(centres, height, color=_KINDS[kind]["color"], alpha=0.25, linewidth=0)
-            axes.plot(centres, height, linewidth=1.2, label=kind, **_KINDS[kind])
-            axes.axvline(np.median(values), color=_KINDS[kind]["color"], linewidth=0.9, linestyle=":")
+            colour, line = _KINDS[kind]
+            axes.fill_between(centres, height, color=colour, alpha=0.25, linewidth=0)
+            axes.plot(centres, height, color=colour, linestyle=line, linewidth=1.2, label=kind)
+            axes.axvline(np.median(values), color=colour, linewidth=0.9, linestyle=":")
         axes.set(title=view, yticks=[], ylim=(0, None), xlabel="cosine similarity")
     panels[0].set_ylabel("share of pairs")
     legend_below(figure)

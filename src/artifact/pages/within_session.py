@@ -17,21 +17,17 @@ _MARKERS = {"original": "D", **SUPPRESSION_MARKERS}
 
 def within_summary(rows: pd.DataFrame, titles: Titles) -> str:
     """Say in words for how many pairs a statistic takes queries beyond the control, before and after suppression."""
-    parts = []
+    parts, means = [], []
     for view, part in rows.groupby("view", sort=False):
         beyond = part[(part["gap_low"] > 0) & (part["gap"] > part["control_high"])]
-        count = f"{len(beyond)} of {len(part)} pairs"
-        if view != "original":
-            parts.append(f"{count} after {view}")
-            continue
         names = [f"{titles[m]} on {t}" for m, t in zip(beyond["method"], beyond["title"], strict=True)]
         shortened = names if len(names) <= 4 else [*names[:3], f"{names[3]} and others"]
-        parts.append(f"{count} on the original{listed(shortened)}")
-    means = rows.groupby("view", sort=False)["gap"].mean()
-    mean = ", ".join(f"{view} {value:+.1f}" for view, value in means.items())
+        where = f"on the original{listed(shortened)}" if view == "original" else f"after {view}"
+        parts.append(f"{len(beyond)} of {len(part)} pairs {where}")
+        means.append(f"{view} {part['gap'].mean():+.1f}")
     return (
         f"The gap is beyond every control, with an interval above zero, for {'; '.join(parts)}. "
-        f"Mean gap over all pairs: {mean} pp."
+        f"Mean gap over all pairs: {', '.join(means)} pp."
     )
 
 
@@ -61,13 +57,12 @@ def sided_gaps(table: pd.DataFrame, titles: Titles) -> HTML:
     figure, (panels,) = drawing(size, columns=len(titles), squeeze=False)
     lowest, highest = table[["gap_low", "control"]].min().min(), table[["gap_high", "control"]].max().max()
     room = 0.05 * (highest - lowest) + 0.1
-    limits = lowest - room, highest + room
     for axes, (method, title) in zip(panels, titles.items(), strict=True):
         axes.axvline(0, linestyle="--", color="gray", linewidth=0.9)
         of_method = table[table["method"] == method]
         for view in _SHIFTS:
             _draw_gaps(axes, of_method[of_method["view"] == view].set_index("dataset").loc[list(datasets)], view)
-        axes.set(title=title, xlim=limits, xlabel="gap (pp)")
+        axes.set(title=title, xlim=(lowest - room, highest + room), xlabel="gap (pp)")
         axes.set_yticks(range(len(datasets)), list(datasets.values()))
         axes.invert_yaxis()
         axes.grid(visible=True, axis="x")
@@ -83,5 +78,4 @@ def _draw_gaps(axes: Axes, rows: pd.DataFrame, view: str) -> None:
     axes.plot(rows["gap"], y, _MARKERS[view], color=colour, markersize=4, label=view)
     tell_values(axes, np.column_stack([rows["gap"], y]), (f"{view}: gap {change(gap)} pp" for gap in rows["gap"]))
     if view == "original":
-        bar = {"color": "0.45", "markersize": 9, "markeredgewidth": 2}
-        axes.plot(rows["control"], y, "|", label="control (original)", **bar)
+        axes.plot(rows["control"], y, "|", label="control (original)", color="0.45", markersize=9, markeredgewidth=2)
