@@ -90,8 +90,8 @@ def full_run_table(frame: pd.DataFrame) -> HTML:
 
     steps = [column for column in frame if column.endswith("_h")]
     by_method = frame.groupby("name", sort=False)
-    sums = by_method[[*steps, "images", "disk"]].sum(min_count=1).assign(memory=by_method["memory"].max())
-    sums = sums.reset_index().assign(total=lambda rows: rows[steps].sum(axis=1))
+    sums = by_method[[*steps, "images", "disk"]].sum(min_count=1).assign(memory=by_method["memory"].max()).reset_index()
+    sums["total"] = sums[steps].sum(axis=1)
     columns: Columns = {"Method": "name", "Images": ("images", "{:,.0f}".format)}
     columns |= {f"{step.removesuffix('_h')} h": (step, hours) for step in steps} | {"Total h": ("total", hours)}
     columns |= {f"{what.title()} GB": (what, lambda n: f"{n / 1e9:.1f}") for what in ("memory", "disk")}

@@ -53,9 +53,8 @@ def about_draws(number: pd.DataFrame, titles: Titles) -> str:
     parts = [f"{whose} is the exact expectation over all random subsets of the pool"] if exact else []
     for method, count in drawn[drawn > 0].items():
         parts.append(f"that of {titles[method]} is the mean of {count} nested random draws")
-    return (
-        f"In (a) {'; '.join(parts)}. The band spans nested random draws. The paper says only that it samples at random."
-    )
+    lines = "; ".join(parts)
+    return f"In (a) {lines}. The band spans nested random draws. The paper says only that it samples at random."
 
 
 def _has_reported(table: pd.DataFrame) -> bool:
@@ -109,9 +108,8 @@ def _pools(table: pd.DataFrame) -> pd.Series:
     """Printed name of each pool: its condition, with the traversal where several have that condition."""
     if "traversal" not in table:
         return table["condition"]
-    several = table.groupby("condition")["traversal"].nunique()
-    both = table["condition"] + "\n" + table["traversal"]
-    return table["condition"].where(table["condition"].map(several) == 1, both)
+    alone = table.groupby("condition")["traversal"].transform("nunique") == 1
+    return table["condition"].where(alone, table["condition"] + "\n" + table["traversal"])
 
 
 def reported_condition() -> HTML:

@@ -94,8 +94,8 @@ def _tell_matches(
     axes: Axes, one: MixedDatabase, result: Evaluation, shown: dict[tuple[str, int], tuple[int, Traversal, int]]
 ) -> None:
     """Give some queries of a map their match and the two images on hover; ``shown`` gathers the images of all maps."""
-    data = one.described.dataset
-    query, database, extra = data.query, data.database, one.added_traversal
+    data, extra = one.described.dataset, one.added_traversal
+    query, database = data.query, data.database
     chosen = spread(result.n_queries, _TOLD)
     retrieved, texts = result.retrieved(1, distractors=False)[0][chosen, 0], []
     for i, found in zip(one.queries[result.evaluated[chosen]].tolist(), retrieved.tolist(), strict=True):
@@ -130,7 +130,7 @@ def reported_mixed_table(name: str) -> HTML:
     (column,) = set(frame) - {"method", "recall_percent"}
     wide = frame.pivot_table(index="method", columns=column, values="recall_percent", sort=False)
     titles = reported.method_titles()
-    rows = [_before_and_after(titles[method], row.to_dict()) for method, row in wide.iterrows()]
+    rows = [_before_and_after(titles[method], recalls) for method, recalls in wide.to_dict("index").items()]
     return table(rows, text=1, caption="Reported by the paper for RobotCar, not from this run.")
 
 
@@ -146,9 +146,8 @@ def few_images_lower_recall(found: Mapping[str, MixedDatabase], titles: Titles, 
     """A few images of the query's condition in the database lower R@1 (Fig. 2)."""
     loss, sample = _steps(found, "single", "mixed", seed)
     judged, certain = some_above(-loss, -sample, NO_LOSS_PP)
-    lowered = [titles[method] for method, one in zip(found, certain, strict=True) if one]
-    text = f"R@1 falls beyond chance for {len(lowered)} of {len(found)} methods; {_in_words(found, 'single', 'mixed', titles)}"
-    return text, judged
+    words = _in_words(found, "single", "mixed", titles)
+    return f"R@1 falls beyond chance for {certain.sum()} of {len(found)} methods; {words}", judged
 
 
 @claimed

@@ -82,8 +82,8 @@ class Page:
         notes = [text for name in counted for text in self._load(name).differences]
         own = [name for name in self.datasets if name not in self.manifest.datasets]
         notes += [f"Warning: {text}" for name in own for text in preview.remarks_on(self.manifest, self._load(name))]
-        measured = f"Measured by profile “{self.profile}” on {' and '.join(images)} with {with_what}."
-        return " ".join([measured, *(f"{text}." for text in notes)])
+        measured = f"Measured by profile “{self.profile}” on {' and '.join(images)} with {with_what}"
+        return " ".join(f"{text}." for text in (measured, *notes))
 
     @property
     def conditions(self) -> tuple[str, str]:
@@ -164,8 +164,7 @@ class Page:
         return self.only(*names)
 
     def _with_one_method(self, alone: bool) -> Page:
-        suiting = single_stage(self.manifest, self.methods) if alone else self.methods
-        if suiting:
+        if suiting := single_stage(self.manifest, self.methods) if alone else self.methods:
             return replace(self, methods=(suiting[-1],))
         need = "this page needs a method that does not re-rank"
         if self.asked["method"] is not None:
