@@ -90,12 +90,8 @@ def _is_share(value: Any) -> bool:
     return _is_number(value) and 0 <= value <= 1
 
 
-def _profile(value: Any, manifest: Manifest) -> str | None:
-    return None if value in manifest.profiles else f"allowed: {quoted(manifest.profiles)}"
-
-
-def _one_method(value: Any, manifest: Manifest) -> str | None:
-    return None if value in manifest.methods else f"allowed: {quoted(manifest.methods)}"
+def _one_of(names: Iterable[str], value: Any) -> str | None:
+    return None if value in names else f"allowed: {quoted(names)}"
 
 
 def _one_dataset(value: Any, manifest: Manifest) -> str | None:
@@ -132,13 +128,13 @@ def _same_type(default: Any) -> _Check:
 
 
 _CHECKS: dict[str, _Check] = {
-    "profile": _profile,
+    "profile": lambda value, manifest: _one_of(manifest.profiles, value),
     "dataset": _optional(_one_dataset),
     "datasets": _several(_one_dataset),
-    "method": _optional(_one_method),
-    "methods": _several(_one_method),
+    "method": _optional(lambda value, manifest: _one_of(manifest.methods, value)),
+    "methods": _several(lambda value, manifest: _one_of(manifest.methods, value)),
     "seed": _integer(0),
-    "similarity": _if(lambda value: value in ("cosine", "l2", "dot"), "'cosine', 'l2', 'dot'"),
+    "similarity": lambda value, _: _one_of(("cosine", "l2", "dot"), value),
     "distances": _list_of(lambda value: _is_number(value) and value >= 0, "numbers from 0 to inf"),
     "statistics": _list_of(STATISTICS.__contains__, quoted(STATISTICS)),
     **dict.fromkeys(("fraction", "share"), _if(_is_share, "a number from 0 to 1")),
