@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations, product
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -190,16 +190,13 @@ def similar_recall_hides_differences(study: Study, titles: Titles, k: int = 1) -
     """Two methods with similar R@K can differ widely in DAR@K (Table III, Fig. 5)."""
     table, sample = study.table, study.replicates["DAR"]
     recall, dar, names = (table[column].to_numpy() for column in ("R", "DAR", "dataset"))
-    pairs = [
-        (i, j) if dar[i] > dar[j] else (j, i)
-        for i, j in combinations(range(len(table)), 2)
-        if names[i] == names[j] and abs(recall[i] - recall[j]) <= SIMILAR_PP
-    ]
-    if not pairs:
+    i, j = np.triu_indices(len(table), 1)
+    close = (names[i] == names[j]) & (np.abs(recall[i] - recall[j]) <= SIMILAR_PP)
+    if not close.any():
         return f"no two methods are within {SIMILAR_PP:g} pp in R@{k} on any dataset", NOTHING_TO_COMPARE
-    i, j = np.array(pairs).T
+    i, j = np.where(dar[i] > dar[j], (i, j), (j, i))[:, close]
     judged, _ = some_above(dar[i] - dar[j], sample[i] - sample[j], CLEARLY_PP)
-    most = int(np.argmax(dar[i] - dar[j]))
+    most = np.argmax(dar[i] - dar[j])
     a, b = table.iloc[i[most]], table.iloc[j[most]]
     found = (
         f"on {a['title']}, {titles[a['method']]} and {titles[b['method']]} have R@{k} {a['R']:.1f} % and {b['R']:.1f} % "
