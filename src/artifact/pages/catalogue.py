@@ -14,7 +14,6 @@ from artifact.pages.preview import positions_figure
 from artifact.studies import reported
 from artifact.studies.catalogue import input_in_words
 
-_KINDS = {"baseline": "baseline", "paper": "method of the paper"}
 _DATASETS = {
     "Dataset": "title",
     "Query": "query",
@@ -43,7 +42,7 @@ _BESIDE = {
 }
 _METHODS = {
     "Method": "title",
-    "Kind": ("kind", _KINDS.__getitem__),
+    "Kind": ("kind", {"baseline": "baseline", "paper": "method of the paper"}.__getitem__),
     "Backbone": "backbone",
     "Aggregation": "aggregation",
     "Dim": "dimension",

@@ -21,11 +21,8 @@ from artifact.studies.common import PERCENT
 from artifact.studies.judging import all_above, some_above
 from artifact.studies.mixed_database import DRAWS, MixedDatabase
 
-_MATCHES = 500
-"""Most matches drawn, as in the paper's Fig. 9."""
-
-_TOLD = 120
-"""Most queries of a map that show their match on hover: their images are in the page."""
+_MATCHES = 500  # most that are drawn, as in the paper's Fig. 9
+_TOLD = 120  # most queries of a map that show their match on hover: their images are in the page
 
 
 def mixed_database(

@@ -142,7 +142,6 @@ def reported_fraction_curves() -> HTML:
     return fraction_curves(wide.reset_index().rename(columns=names), source="reported by the paper")
 
 
-# Changes of a pair that count as help.
 _HELPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "change_probe": lambda changes: changes < -1e-9,
     "change_DAR": lambda changes: changes > 1e-9,
@@ -256,8 +255,7 @@ def railway_recall_rises(study: Study, titles: Titles, k: int = 1) -> Answer:
     return f"R@{k} rises in {rising} (pp: {parts})", judged
 
 
-_Change = tuple[float, np.ndarray]
-"""A mean change over pairs, and its replicates ``(count,)``."""
+_Change = tuple[float, np.ndarray]  # a mean over pairs, and its replicates (count,)
 
 
 def _mean_changes(study: Study, column: str) -> dict[tuple[str, float], _Change]:

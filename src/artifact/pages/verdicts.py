@@ -8,8 +8,6 @@ from IPython.display import HTML
 from artifact.pages.common import Titles, interval, label, table, verdict
 from artifact.studies import verdicts
 
-NOTHING = "No number on this page can be compared with the paper's: that takes its datasets and its methods."
-
 
 def verdicts_table(*found: pd.DataFrame, titles: Titles) -> HTML:
     """Show comparisons with the paper, as from :mod:`artifact.studies.verdicts`, or say that there are none."""
@@ -20,6 +18,8 @@ def verdicts_table(*found: pd.DataFrame, titles: Titles) -> HTML:
         cells["95 %"] = "–" if pd.isna(row["low"]) else interval(row["low"], row["high"])
         rows.append(cells | {"Verdict": verdict(row["verdict"], row["why"]), "Why": row["why"]})
     if not rows:
-        return label(NOTHING)
+        return label(
+            "No number on this page can be compared with the paper's: that takes its datasets and its methods."
+        )
     counts = ", ".join(f"{count} {value}" for value, count in verdicts.tally(found).items() if count)
     return table(rows, numeric=["Paper", "Measured"], caption=f"Beside the paper: {counts}.")
