@@ -79,6 +79,8 @@ def test_asked_values_replace_defaults(notebook, loaded):
         ({"k": True}, "k is True; allowed: whole numbers from 1"),
         ({"seed": -1}, "seed is -1; allowed: whole numbers from 0"),
         ({"profile": "full"}, "profile is 'full'; allowed: 'demo'"),
+        ({"profile": ["demo"]}, "profile is ['demo']; allowed: 'demo'"),
+        ({"methods": [["hog"]]}, "['hog']: allowed: 'thumbnail', 'hog'"),
         ({"dataset": "avenue"}, "dataset is 'avenue'; allowed: 'street', or the path of a folder"),
         ({"dataset": ["street"]}, "allowed: 'street', or the path of a folder"),
         ({"methods": ["hog", "vlad"]}, "'vlad': allowed: 'thumbnail', 'hog'"),

@@ -91,7 +91,7 @@ def _is_share(value: Any) -> bool:
 
 
 def _one_of(names: Iterable[str], value: Any) -> str | None:
-    return None if value in names else f"allowed: {quoted(names)}"
+    return None if value in tuple(names) else f"allowed: {quoted(names)}"
 
 
 def _one_dataset(value: Any, manifest: Manifest) -> str | None:
