@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import yaml
 
 from artifact import __version__
 
+_Function = Callable[[argparse.Namespace], int | None]
 EPILOG = "The Makefile calls these commands; `make help` lists them. See README.md for what each costs."
 
 
@@ -70,9 +72,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"artifact {__version__}")
     commands = parser.add_subparsers(required=True, metavar="command")
 
-    def command(name: str, function: Callable[[argparse.Namespace], int | None], text: str) -> argparse.ArgumentParser:
-        sub = commands.add_parser(name, help=text, description=text)
-        sub.set_defaults(command=function)
+    def command(name: str, function: _Function, text: str) -> argparse.ArgumentParser:
+        sub = _action(commands, name, function, text)
         sub.add_argument("--manifest", type=Path, help="manifest file (default: the nearest data_manifest.yaml)")
         sub.add_argument("--trust", action="store_true", help="run the builders that a manifest from elsewhere names")
         return sub
@@ -94,11 +95,7 @@ def _parser() -> argparse.ArgumentParser:
     def notebooks(sub: argparse.ArgumentParser) -> None:
         scope(sub)
         sub.add_argument(
-            "--only",
-            nargs="+",
-            default=[],
-            metavar="NOTEBOOK",
-            help="run only these, for example: tab03 fig05",
+            "--only", nargs="+", default=[], metavar="NOTEBOOK", help="run only these, for example: tab03 fig05"
         )
         sub.add_argument(
             "-p",
@@ -115,9 +112,8 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("--force", action="store_true", help="run notebooks again even where nothing changed")
         work(sub)
 
-    notebooks(
-        command("reproduce", _reproduce, "make datasets and descriptors ready, run the notebooks, build the book")
-    )
+    text = "make datasets and descriptors ready, run the notebooks, build the book"
+    notebooks(command("reproduce", partial(_run, book=True), text))
     notebooks(command("run", _run, "as reproduce, without building the book"))
     command("book", _book, "build the book from the executed notebooks, running none")
     sub = command("data", _data, "make the datasets and weights of a profile ready and say which are missing")
@@ -147,14 +143,9 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("evaluate", _evaluate, "print R@K, DAR@K and RSR@K of datasets and methods")
     scope(sub)
     _evaluate_options(sub)
-    text = "fit a suppression transform on descriptors in files, or apply one"
-    _suppress_options(command("suppress", _suppress("fit"), text))
-    _results_options(command("results", _results_import, "pass results on, or read those of others"))
-    sub = command(
-        "verify",
-        _verify,
-        "check stored results against their records and measurements against the paper",
-    )
+    _suppress_commands(command)
+    _results_commands(command)
+    sub = command("verify", _verify, "check stored results against their records and measurements against the paper")
     scope(sub)
     sub.add_argument(
         "--repair", action="store_true", help="delete what is damaged and all that was made from it, and make it again"
@@ -164,23 +155,25 @@ def _parser() -> argparse.ArgumentParser:
         metavar="'DATASET x METHOD'",
         help="compute this anew from images, and compare with what is stored",
     )
-    command(
-        "bench",
-        _bench,
-        "time the ranking pass against a bare matrix product, and extraction against the model",
-    ).add_argument(
+    text = "time the ranking pass against a bare matrix product, and extraction against the model"
+    command("bench", _bench, text).add_argument(
         "--methods", nargs="*", metavar="METHOD", help="time these methods instead (default: the paper's), for Table II"
     )
     sub = command("plan", _plan, "say what a whole run takes on this machine: time, memory and disk of every step")
     scope(sub)
-    _schedule_options(sub)
+    _plan_options(sub)
     scope(command("status", _status, "show the state of data, descriptors and the last run"))
     command("cluster-example", _cluster_example, "write cluster.yaml, options of queueing systems to fill in")
     return parser
 
 
-def _schedule_options(sub: argparse.ArgumentParser) -> None:
-    """Options of ``plan``."""
+def _action(commands: Any, name: str, function: _Function, text: str) -> argparse.ArgumentParser:
+    sub = commands.add_parser(name, help=text, description=text)
+    sub.set_defaults(command=function)
+    return sub
+
+
+def _plan_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--csv", type=Path, metavar="FILE", help="write the plan as a table instead, for the page Full run"
     )
@@ -215,13 +208,8 @@ def _evaluate_options(sub: argparse.ArgumentParser) -> None:
     group.add_argument("--query-positions", type=Path, metavar="FILE", help=where)
     group.add_argument("--database-positions", type=Path, metavar="FILE", help="the same for the database")
     group.add_argument("--threshold", metavar="T", help="25m, 2frames or exact")
-    group.add_argument(
-        "--distractors",
-        nargs="+",
-        default=[],
-        metavar="NAME=FILE[,POSITIONS]",
-        help="pools of distractors instead of the queries",
-    )
+    text = "pools of distractors instead of the queries"
+    group.add_argument("--distractors", nargs="+", default=[], metavar="NAME=FILE[,POSITIONS]", help=text)
     group.add_argument("--suppress", nargs="+", choices=("INLP", "LEACE", "STD"), default=[], help="fit and compare")
     group.add_argument("--fraction", type=float, default=0.1, help="query fitting fraction (default: 0.1)")
     group.add_argument("--seed", type=int, default=0, help="seed of INLP and of the intervals (default: 0)")
@@ -238,11 +226,8 @@ def _add_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--set", default="", metavar="TEXT", help="parameters of the preparation, as make SET='poses=ins'")
     actions = sub.add_subparsers(metavar="{status,add}", title="what is here, and own images")
     text = "show which published datasets are here, verified or missing, and how to get them"
-    status = actions.add_parser("status", help=text, description=text)
-    status.set_defaults(command=_data_status)
-    text = "describe folders of images as a dataset, after a look at them"
-    add = actions.add_parser("add", help=text, description=text)
-    add.set_defaults(command=_add)
+    _action(actions, "status", _data_status, text)
+    add = _action(actions, "add", _add, "describe folders of images as a dataset, after a look at them")
     add.add_argument("name", metavar="NAME", help="folder that will hold dataset.yaml and preview.html")
     add.add_argument("--query", required=True, metavar="[NAME=]DIR", help="images of the query traversal")
     add.add_argument(
@@ -259,34 +244,29 @@ def _add_options(sub: argparse.ArgumentParser) -> None:
     add.add_argument("--dry-run", action="store_true", help="look only, write nothing")
 
 
-def _results_options(sub: argparse.ArgumentParser) -> None:
-    """Options of ``results export`` and ``results import``."""
+def _results_commands(command: Callable[..., argparse.ArgumentParser]) -> None:
+    sub = command("results", _results_import, "pass results on, or read those of others")
     actions = sub.add_subparsers(required=True, metavar="action")
     text = "write the results that the pages of a profile read into one file"
-    export = actions.add_parser("export", help=text, description=text)
-    export.set_defaults(command=_results_export)
+    export = _action(actions, "export", _results_export, text)
     export.add_argument("file", type=Path, metavar="FILE.zip")
     export.add_argument("--profile", default="paper", help="profile of the manifest (default: paper)")
     text = "check such a file and read it, so that reproduce builds the book from it"
-    reading = actions.add_parser("import", help=text, description=text)
-    reading.set_defaults(command=_results_import)
+    reading = _action(actions, "import", _results_import, text)
     reading.add_argument("file", type=Path, metavar="FILE.zip")
 
 
-def _suppress_options(sub: argparse.ArgumentParser) -> None:
-    """Options of ``suppress fit`` and ``suppress apply``."""
+def _suppress_commands(command: Callable[..., argparse.ArgumentParser]) -> None:
+    sub = command("suppress", _suppress_fit, "fit a suppression transform on descriptors in files, or apply one")
     actions = sub.add_subparsers(required=True, metavar="action")
     text = "fit on the descriptors of two conditions and save the transform"
-    fit = actions.add_parser("fit", help=text, description=text)
-    fit.set_defaults(command=_suppress("fit"))
+    fit = _action(actions, "fit", _suppress_fit, text)
     fit.add_argument("--queries", type=Path, required=True, metavar="FILE", help=".npy, .npz, .safetensors or .h5")
     fit.add_argument("--database", type=Path, required=True, metavar="FILE", help="the same of the database")
     fit.add_argument("--method", choices=("INLP", "LEACE", "STD"), default="LEACE", help="(default: LEACE)")
     fit.add_argument("--seed", type=int, default=0, help="seed of INLP (default: 0)")
     fit.add_argument("--save", type=Path, required=True, metavar="FILE.npz", help="where to write it")
-    text = "apply a saved transform to descriptors"
-    apply = actions.add_parser("apply", help=text, description=text)
-    apply.set_defaults(command=_suppress("apply"))
+    apply = _action(actions, "apply", _suppress_apply, "apply a saved transform to descriptors")
     apply.add_argument("transform", type=Path, metavar="FILE.npz")
     apply.add_argument("descriptors", type=Path, metavar="FILE")
     apply.add_argument("out", type=Path, metavar="OUT.npy")
@@ -317,13 +297,16 @@ def _results_import(options: argparse.Namespace) -> None:
     _print(importing.read(_manifest(options), options.file))
 
 
-def _suppress(action: str) -> Callable[[argparse.Namespace], None]:
-    def run(options: argparse.Namespace) -> None:
-        from artifact.commands import suppress
+def _suppress_fit(options: argparse.Namespace) -> None:
+    from artifact.commands import suppress
 
-        _print(getattr(suppress, action)(options))
+    _print(suppress.fit(options))
 
-    return run
+
+def _suppress_apply(options: argparse.Namespace) -> None:
+    from artifact.commands import suppress
+
+    _print(suppress.apply(options))
 
 
 def _add(options: argparse.Namespace) -> None:
@@ -335,18 +318,16 @@ def _add(options: argparse.Namespace) -> None:
 def _manifest(options: argparse.Namespace, *, make: bool = True) -> Any:
     """Load the manifest as the profile sees it; ``make`` writes made descriptors that are missing."""
     from artifact import manifest
+    from artifact.extraction import made
 
     loaded = manifest.load(options.manifest)
     if not options.trust:
         manifest.refuse_code_from_elsewhere(loaded)
-    profile = getattr(options, "profile", None)
-    if profile is None or not loaded.profile(profile).made:
+    if "profile" not in options:
         return loaded
-    loaded = loaded.for_profile(profile)
+    loaded = loaded.for_profile(options.profile)
     if make:
-        from artifact.extraction import made
-
-        made.make(loaded, profile)
+        made.make(loaded, options.profile)
     return loaded
 
 
@@ -403,13 +384,8 @@ def _run(options: argparse.Namespace, *, book: bool = False) -> None:
 
     manifest = _manifest(options)
     store.sweep(manifest.cache)
-    tasks = runner.plan(
-        manifest,
-        options.profile,
-        only=options.only,
-        asked=asked_parameters([*options.parameter, *assignments(options.set)]),
-    )
-    tasks = runner.with_what_is_here(manifest, tasks)
+    asked = asked_parameters([*options.parameter, *assignments(options.set)])
+    tasks = runner.with_what_is_here(manifest, runner.plan(manifest, options.profile, only=options.only, asked=asked))
     data.require(manifest, tasks)
     if options.check_images:
         _print(verify.changed_files(manifest, dict.fromkeys(name for task in tasks for name in task.datasets)))
@@ -437,10 +413,6 @@ def _on_cluster(options: argparse.Namespace, manifest: Any, tasks: Any, precisio
     where = options.cluster or ("local" if workers.devices() > 1 and workers.is_there() else "")
     if where:
         _print(cluster.lines(where, manifest, tasks, precision=precision))
-
-
-def _reproduce(options: argparse.Namespace) -> None:
-    _run(options, book=True)
 
 
 def _book(options: argparse.Namespace) -> None:
@@ -497,9 +469,8 @@ def _obtain(manifest: Any, options: argparse.Namespace) -> int:
 
     asked = asked_parameters(assignments(options.set))
     if named := [name for name in asked if name != "*"]:
-        raise ParameterError(
-            f"{named[0]!r}: parameters of a preparation have no name before them, for example poses=ins"
-        )
+        fault = "parameters of a preparation have no name before them, for example poses=ins"
+        raise ParameterError(f"{named[0]!r}: {fault}")
     missing = 0
     for name in options.dataset:
         try:
@@ -541,8 +512,7 @@ def _extract(options: argparse.Namespace) -> None:
     manifest = _manifest(options)
     profile = manifest.profile(options.profile)
     if options.ship:
-        for path in ship.ship(manifest, options.ship, profile.methods):
-            sys.stdout.write(f"{path}\n")
+        _print(ship.ship(manifest, options.ship, profile.methods))
         return
     if options.dry_run:
         _print(plan.lines(manifest, options.profile, device=options.devices, precision=options.precision))
@@ -603,7 +573,7 @@ def _verify(options: argparse.Namespace) -> int:
         same = ["--profile", options.profile, *(["--manifest", str(options.manifest)] if options.manifest else [])]
         _print(verify.repair(manifest, options.profile, lambda: failed.append(main(["reproduce", *same]))))
     lines, faults = verify.verify(manifest, options.profile)
-    sys.stdout.write("".join(f"{line}\n" for line in lines))
+    _print(lines)
     return 1 if faults or any(failed) else 0
 
 
@@ -655,5 +625,4 @@ def _status(options: argparse.Namespace) -> None:
         state = weights.state(name, manifest.method(name))
         if state.status != "not needed":
             sys.stdout.write(f"weights of {state.detail if state.status == 'changed' else state.summary}\n")
-    for line in status.status_lines(manifest, options.profile):
-        sys.stdout.write(f"{line}\n")
+    _print(status.status_lines(manifest, options.profile))
