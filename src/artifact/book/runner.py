@@ -30,7 +30,7 @@ from tqdm import tqdm
 from traitlets.config import Config
 
 from artifact import datasets, methods, store
-from artifact.book import finishing, kernels, parameters
+from artifact.book import finishing, kernels, parameters, stages
 from artifact.extraction import extract, timing
 from artifact.extraction.extract import ValuesAbsentError
 from artifact.manifest import TYPED_IN, Manifest
@@ -290,10 +290,10 @@ def _turn(task: Task) -> int:
 @contextlib.contextmanager
 def environment_of_kernels(manifest: Manifest, threads: int | None = None) -> Iterator[None]:
     """Set what the kernels inherit, and restore it; ``threads`` are those that each takes, unless the user says otherwise."""
-    before, log = dict(os.environ), manifest.cache / f"kernels-{os.getpid()}.log"
+    log = manifest.cache / f"kernels-{os.getpid()}.log"
     # Methods from outside stand beside the manifest; a kernel starts in the folder of the notebooks.
     paths = [str(manifest.path.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
-    os.environ |= {
+    variables = {
         # A kernel of another environment must not be picked up from the user's Jupyter settings.
         "JUPYTER_PREFER_ENV_PATH": "1",
         "JUPYTER_PATH": "",
@@ -304,14 +304,12 @@ def environment_of_kernels(manifest: Manifest, threads: int | None = None) -> It
         **{name: os.environ.get(name, str(threads)) for name in _THREADS if threads},
     }
     if not os.access(Path.home(), os.W_OK):
-        os.environ |= dict.fromkeys(_AT_HOME, str(manifest.cache / "settings"))
-        os.environ.setdefault("NUMBA_CACHE_DIR", str(manifest.cache / "compiled"))
+        variables |= dict.fromkeys(_AT_HOME, str(manifest.cache / "settings"))
+        variables["NUMBA_CACHE_DIR"] = os.environ.get("NUMBA_CACHE_DIR", str(manifest.cache / "compiled"))
     try:
-        yield
+        with stages.environment(variables):
+            yield
     finally:
-        for name in os.environ.keys() - before.keys():
-            del os.environ[name]
-        os.environ |= before
         if log.exists():
             store.say(log.read_text(encoding="utf-8").rstrip())
             log.unlink()

@@ -1,4 +1,4 @@
-"""What a run spent on each of its stages: wall time, and within it the time of the work of its processes."""
+"""What a run spent on each of its stages, and the variables by which the processes that it starts report their part."""
 
 from __future__ import annotations
 
@@ -66,14 +66,22 @@ def table(wall: Mapping[str, float], work: Mapping[str, float]) -> list[str]:
 @contextlib.contextmanager
 def measured() -> Iterator[Stages]:
     """Collect what this process and those that it starts report."""
-    before = os.environ.get(store.TIMES_VARIABLE)
     with tempfile.TemporaryDirectory() as folder:
         reported = Path(folder, "times.csv")
         reported.touch()
-        os.environ[store.TIMES_VARIABLE] = str(reported)
-        try:
+        with environment({store.TIMES_VARIABLE: str(reported)}):
             yield Stages(reported)
-        finally:
-            del os.environ[store.TIMES_VARIABLE]
-            if before is not None:
-                os.environ[store.TIMES_VARIABLE] = before
+
+
+@contextlib.contextmanager
+def environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Set environment variables for a block and the processes that it starts."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ |= variables
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            del os.environ[name]
+            if value is not None:
+                os.environ[name] = value

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -12,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from artifact.book import runner
+from artifact.book import runner, stages
 from artifact.commands import jobs
 from artifact.commands.jobs import Job
 from artifact.extraction import extract, made
@@ -55,7 +53,7 @@ def lines(manifest: Manifest, profile: str, asked: str) -> Iterator[tuple[str, b
         if dataset in task.datasets and method in task.methods
     ]
     with tempfile.TemporaryDirectory(prefix="artifact-") as folder:
-        with _cache(folder):
+        with stages.environment({CACHE_VARIABLE: folder}):
             anew = manifest.for_profile(profile)
             if anew.profile(profile).made:
                 made.make(anew, profile)
@@ -76,7 +74,7 @@ def lines(manifest: Manifest, profile: str, asked: str) -> Iterator[tuple[str, b
                 if not before.keys() <= known:
                     yield f"{'SKIPPED':<8} {job.name}: was not stored, so there is nothing to compare with", False
                     continue
-                with _cache(folder):
+                with stages.environment({CACHE_VARIABLE: folder}):
                     found = _results(anew, job)
                 yield from _compared(job, before, found, exact=here == there)
 
@@ -90,19 +88,6 @@ def _pair(manifest: Manifest, profile: str, asked: str) -> tuple[str, str]:
             f"methods {', '.join(entry.methods)}"
         )
     return names[0], names[1]
-
-
-@contextlib.contextmanager
-def _cache(folder: str) -> Iterator[None]:
-    """Put results of a block into a folder of its own."""
-    before = os.environ.get(CACHE_VARIABLE)
-    os.environ[CACHE_VARIABLE] = folder
-    try:
-        yield
-    finally:
-        del os.environ[CACHE_VARIABLE]
-        if before is not None:
-            os.environ[CACHE_VARIABLE] = before
 
 
 def _digests(manifest: Manifest, dataset: str, method: str) -> dict[str, str]:

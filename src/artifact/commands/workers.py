@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 import yaml
 
+from artifact.book import stages
 from artifact.extraction.timing import available_memory
 
 if TYPE_CHECKING:
@@ -148,16 +149,14 @@ def _undisturbed() -> Iterator[None]:
 
     What killed workers leave behind is swept up without a warning.
     """
-    before, warned = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}), os.environ.get("PYTHONWARNINGS")
-    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [warned, _LEAKED]))
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    warnings = ",".join(filter(None, [os.environ.get("PYTHONWARNINGS"), _LEAKED]))
     try:
-        resource_tracker.ensure_running()
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which the tracker's start may undo
-        yield
+        with stages.environment({"PYTHONWARNINGS": warnings}):
+            resource_tracker.ensure_running()
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which the tracker's start may undo
+            yield
     finally:
-        os.environ.pop("PYTHONWARNINGS")
-        if warned is not None:
-            os.environ["PYTHONWARNINGS"] = warned
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
