@@ -62,7 +62,7 @@ def build(manifest: Manifest) -> tuple[Path, float | None]:
     """
     source = source_folder(manifest)
     pages = _pages(source)
-    missing = [page for page in pages if not _page_file(source, page)]
+    missing = [page for page in pages if not _is_there(source, page)]
     if missing:
         raise BookError(
             f"{len(missing)} pages are missing, first {source / missing[0]}: run `make reproduce` (or `python -m "
@@ -103,19 +103,8 @@ def tally(manifest: Manifest) -> str:
 
 def _build_strictly(source: Path) -> None:
     # --all: without it a second build of the same faulty book passes.
-    program = str(Path(sys.executable).with_name("jupyter-book"))
-    command = [
-        program,
-        "build",
-        str(source),
-        "--toc",
-        str(source / _CONTENTS),
-        "--all",
-        "-W",
-        "-n",
-        "--keep-going",
-        "-q",
-    ]
+    program = Path(sys.executable).with_name("jupyter-book")
+    command = [program, "build", source, "--toc", source / _CONTENTS, "--all", "-W", "-n", "--keep-going", "-q"]
     environment = {**os.environ, "PYTHONWARNINGS": "ignore"}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     if done.returncode:
@@ -130,11 +119,8 @@ def _with_own_runs(source: Path, pages: list[str]) -> dict[str, Any]:
     """Return the table of contents, with the pages that were made with other parameters as a part of their own."""
     toc = yaml.safe_load((source / "_toc.yml").read_text(encoding="utf-8"))
     beside = tuple(f"{Path(page).name}-" for page in pages)
-    own = [
-        {"file": f"executed/{path.stem}"}
-        for path in sorted((source / "executed").glob("*.ipynb"))
-        if path.stem.startswith(beside)
-    ]
+    names = sorted(path.stem for path in (source / "executed").glob("*.ipynb"))
+    own = [{"file": f"executed/{name}"} for name in names if name.startswith(beside)]
     if own and "parts" in toc:
         toc["parts"].append({"caption": "Your runs", "chapters": own})
     elif own:
@@ -147,8 +133,8 @@ def _pages(source: Path) -> list[str]:
     return [toc["root"], *(chapter["file"] for part in toc.get("parts", [toc]) for chapter in part.get("chapters", []))]
 
 
-def _page_file(source: Path, page: str) -> Path | None:
-    return next((f for ending in (".ipynb", ".md") if (f := source / f"{page}{ending}").exists()), None)
+def _is_there(source: Path, page: str) -> bool:
+    return any((source / f"{page}{ending}").exists() for ending in (".ipynb", ".md"))
 
 
 def _contents(source: Path) -> dict[str, str]:

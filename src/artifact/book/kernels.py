@@ -104,19 +104,15 @@ class _Fork:
         return self.returncode
 
     def wait(self) -> int:
-        """Wait for the end."""
         while self.poll() is None:
             time.sleep(0.02)
         return 1
 
     def send_signal(self, number: int) -> None:
-        """Send a signal."""
         os.kill(self.pid, number)
 
     def kill(self) -> None:
-        """End the process at once."""
         self.send_signal(signal.SIGKILL)
 
     def terminate(self) -> None:
-        """Ask the process to end."""
         self.send_signal(signal.SIGTERM)

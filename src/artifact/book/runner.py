@@ -103,7 +103,6 @@ def plan(
     *,
     only: Sequence[str] = (),
     asked: Mapping[str, Mapping[str, Any]] | None = None,
-    folder: Path | None = None,
 ) -> list[Task]:
     """Find the notebooks and check every parameter, before anything runs.
 
@@ -117,15 +116,13 @@ def plan(
         Names of notebooks; default all.
     asked
         Parameters by notebook name; those under ``"*"`` go to every notebook that has them.
-    folder
-        Folder of the notebooks; default ``notebooks`` beside the manifest.
 
     Raises
     ------
     ParameterError
         If a notebook or parameter is unknown or a value is not allowed.
     """
-    folder = folder or manifest.path.parent / "notebooks"
+    folder = manifest.path.parent / "notebooks"
     found = {path.stem: path for path in sorted(folder.glob("*.py"))}
     asked = dict(asked or {})
     everywhere = dict(asked.pop("*", {}))
@@ -214,14 +211,15 @@ def check(manifest: Manifest, tasks: Sequence[Task]) -> dict[tuple[str, str], li
         If the disk has no room for the local features and codes that are missing.
     """
     pairs = dict.fromkeys((dataset, method) for task in tasks for dataset in task.datasets for method in task.methods)
-    loaded = {name: load_all(manifest, name) for name in _datasets_of(tasks)}
+    loaded = {name: load_all(manifest, name) for name in datasets_of(tasks)}
     extracted = {m for d, m in pairs for t in loaded[d] if t.has_images and not extract.is_ready(manifest, t, m)}
     weights.require({method: manifest.method(method) for method in sorted(extracted)})
     extract.check_disk(manifest, (t for traversals in loaded.values() for t in traversals), sorted(extracted))
     return {(dataset, method): loaded[dataset] for dataset, method in pairs}
 
 
-def _datasets_of(tasks: Sequence[Task]) -> list[str]:
+def datasets_of(tasks: Sequence[Task]) -> list[str]:
+    """Return the datasets that tasks use, each once."""
     return list(dict.fromkeys(name for task in tasks for name in task.datasets))
 
 
@@ -369,17 +367,18 @@ def _run_one(
 
 def _make(task: Task, stored: Path, manager: type[AsyncKernelManager]) -> list[str]:
     """Run a notebook, or where no dataset suits it, put a page in its place that says so; return the results that it read."""
-    if task.missing:
-        _write_empty_page(task, stored, task.missing)
-        return []
-    try:
-        return _execute(task, stored, manager)
-    except PapermillExecutionError as fault:
-        absent = fault.ename == ValuesAbsentError.__name__
-        if not absent and (fault.ename != NothingToShowError.__name__ or task.dataset_asked):
-            raise
-        _write_empty_page(task, stored, str(fault.evalue))
-        return []
+    reason = task.missing
+    if not reason:
+        try:
+            return _execute(task, stored, manager)
+        except PapermillExecutionError as fault:
+            absent = fault.ename == ValuesAbsentError.__name__
+            if not absent and (fault.ename != NothingToShowError.__name__ or task.dataset_asked):
+                raise
+            reason = str(fault.evalue)
+    with store.replacing(stored) as temporary:
+        finishing.write_empty_page(task.path, temporary, reason)
+        return finishing.finish(temporary, task.name, task.profile, task.changed)
 
 
 def _execute(task: Task, stored: Path, manager: type[AsyncKernelManager]) -> list[str]:
@@ -414,16 +413,10 @@ def _sockets(folder: str) -> Config:
     return Config(KernelManager={"transport": "ipc", "ip": f"{folder}/kernel"})
 
 
-def _write_empty_page(task: Task, stored: Path, reason: str) -> None:
-    with store.replacing(stored) as temporary:
-        finishing.write_empty_page(task.path, temporary, reason)
-        finishing.finish(temporary, task.name, task.profile, task.changed)
-
-
 def _keys(manifest: Manifest, tasks: Sequence[Task]) -> dict[str, str]:
     """Return the key of each task's executed notebook."""
     shared = _shared_inputs(manifest)
-    fingerprints = {name: _fingerprint(manifest, name) for name in _datasets_of(tasks)}
+    fingerprints = {name: _fingerprint(manifest, name) for name in datasets_of(tasks)}
     return {task.page: _key(manifest, task, shared, fingerprints) for task in tasks}
 
 

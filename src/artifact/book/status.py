@@ -11,7 +11,7 @@ from typing import Any
 
 from artifact import datasets, pages, store
 from artifact.book.build import executed_folder, source_folder
-from artifact.book.runner import Outcome, Task, load_all
+from artifact.book.runner import Outcome, Task, datasets_of, load_all
 from artifact.datasets import imported
 from artifact.extraction import extract
 from artifact.manifest import Manifest
@@ -27,19 +27,14 @@ def record_run(
 ) -> None:
     """Write the status page: times, reuse, versions, machine and inputs of the run behind the book."""
     used = {task.page: task for task in tasks}
-    notebooks = [
-        [
-            f"[{o.name}]({o.name}.ipynb)",
-            f"{o.seconds:.1f}",
-            "reused" if o.cached else "run",
-            len(used[o.name].datasets),
-            len(used[o.name].methods),
-            f"`{o.key[:12]}`",
-        ]
-        for o in outcomes
-    ]
+    notebooks = []
+    for one in outcomes:
+        state, task = "reused" if one.cached else "run", used[one.name]
+        counts = len(task.datasets), len(task.methods)
+        notebooks.append([f"[{one.name}]({one.name}.ipynb)", f"{one.seconds:.1f}", state, *counts, f"`{one.key[:12]}`"])
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
     machine = {
-        "Machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, {_memory()}",
+        "Machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, {memory:.0f} GiB",
         "Python": platform.python_version(),
         **{name: version(name) for name in (*_COMPUTING, *_PUBLISHING)},
     }
@@ -89,7 +84,7 @@ def _write_notice(manifest: Manifest, profile: str, tasks: Sequence[Task]) -> No
 
 def _bundles(manifest: Manifest, tasks: Sequence[Task]) -> list[str]:
     """Dates of the imported bundles that descriptors of these pages are recorded in, where their values are not here."""
-    loaded = {name: load_all(manifest, name) for name in {name for task in tasks for name in task.datasets}}
+    loaded = {name: load_all(manifest, name) for name in datasets_of(tasks)}
     recorded = {
         name
         for task in tasks
@@ -101,7 +96,7 @@ def _bundles(manifest: Manifest, tasks: Sequence[Task]) -> list[str]:
 
 def _data_rows(manifest: Manifest, tasks: Sequence[Task]) -> list[list[Any]]:
     rows = []
-    for name in dict.fromkeys(name for task in tasks for name in task.datasets):
+    for name in datasets_of(tasks):
         kind = manifest.dataset(name).kind
         for traversal in load_all(manifest, name):
             recorded = any(given.path is None for given in traversal.descriptors.values())
@@ -112,12 +107,6 @@ def _data_rows(manifest: Manifest, tasks: Sequence[Task]) -> list[list[Any]]:
             state = "made descriptors" if kind == "made" else with_images if traversal.has_images else without_images
             rows.append([plain(name), plain(traversal.name), len(traversal), state, f"`{traversal.digest[:12]}`"])
     return rows
-
-
-def _memory() -> str:
-    if not hasattr(os, "sysconf") or "SC_PHYS_PAGES" not in os.sysconf_names:
-        return "memory unknown"
-    return f"{os.sysconf('SC_PHYS_PAGES') * os.sysconf('SC_PAGE_SIZE') / 2**30:.0f} GiB"
 
 
 def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:

@@ -388,7 +388,7 @@ def _run(options: argparse.Namespace, *, book: bool = False) -> None:
     tasks = runner.with_what_is_here(manifest, runner.plan(manifest, options.profile, only=options.only, asked=asked))
     data.require(manifest, tasks)
     if options.check_images:
-        _print(verify.changed_files(manifest, dict.fromkeys(name for task in tasks for name in task.datasets)))
+        _print(verify.changed_files(manifest, runner.datasets_of(tasks)))
     with stages.measured() as spent:
         with spent.of("preparation"):
             _on_cluster(options, manifest, tasks)

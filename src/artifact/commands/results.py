@@ -102,7 +102,7 @@ def export(manifest: Manifest, profile: str, target: Path) -> Iterator[str]:
     tasks = runner.plan(manifest, profile)
     results = runner.results_read(manifest, tasks)
     pairs = dict.fromkeys((name, method) for task in tasks for name in task.datasets for method in task.methods)
-    names = list(dict.fromkeys(name for task in tasks for name in task.datasets))
+    names = runner.datasets_of(tasks)
     traversals = {name: runner.load_all(manifest, name) for name in names}
     measured = [
         path.relative_to(manifest.cache).as_posix()
