@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
+from graphlib import TopologicalSorter
+from operator import itemgetter
 from typing import NamedTuple
 
 from artifact.commands.jobs import Job
@@ -43,20 +45,15 @@ def schedule(jobs: Sequence[Job], workers: int, gpus: int = 0) -> Schedule:
     (5.0, 6.0)
     """
     place = {job.name: number for number, job in enumerate(jobs)}
-    waits = [len([need for need in job.needs if need in place]) for job in jobs]
-    wanted_by: list[list[int]] = [[] for _ in jobs]
-    for number, job in enumerate(jobs):
-        for need in job.needs:
-            if need in place:
-                wanted_by[place[need]].append(number)
+    waiting = TopologicalSorter({place[job.name]: [place[n] for n in job.needs if n in place] for job in jobs})
+    waiting.prepare()
     ready: dict[bool, list[int]] = {True: [], False: []}
-    for number, job in enumerate(jobs):
-        if not waits[number]:
-            heapq.heappush(ready[job.on_device and gpus > 0], number)
     free = {True: min(gpus, workers), False: workers - min(gpus, workers)}
     running: list[tuple[float, int, bool]] = []
     now, worked = 0.0, 0.0
-    while running or ready[True] or ready[False]:
+    while waiting.is_active():
+        for number in waiting.get_ready():
+            heapq.heappush(ready[jobs[number].on_device and gpus > 0], number)
         # Workers with a GPU take other work as well, if none waits for them.
         for kind, has_gpu in ((True, True), (False, False), (False, True)):
             while ready[kind] and free[has_gpu]:
@@ -67,27 +64,16 @@ def schedule(jobs: Sequence[Job], workers: int, gpus: int = 0) -> Schedule:
                 heapq.heappush(running, (now + seconds, number, has_gpu))
         now, number, has_gpu = heapq.heappop(running)
         free[has_gpu] += 1
-        for later in wanted_by[number]:
-            waits[later] -= 1
-            if not waits[later]:
-                heapq.heappush(ready[jobs[later].on_device and gpus > 0], later)
-    critical, longest = _critical(jobs, place)
+        waiting.done(number)
+    longest, critical = _critical(jobs)
     return Schedule(now, worked / (now * workers) if now else 1.0, critical, longest)
 
 
-def _critical(jobs: Sequence[Job], place: dict[str, int]) -> tuple[tuple[tuple[str, float], ...], float]:
-    """The longest chain of jobs; every job stands after those that it needs."""
-    ends: list[float] = []
-    before: list[int | None] = []
+def _critical(jobs: Sequence[Job]) -> tuple[float, tuple[tuple[str, float], ...]]:
+    """The longest chain of jobs, and its seconds; every job stands after those that it needs."""
+    chains: dict[str, tuple[float, tuple[tuple[str, float], ...]]] = {}
     for job in jobs:
-        needed = [place[need] for need in job.needs if need in place]
-        last = max(needed, key=lambda number: ends[number], default=None)
-        before.append(last)
-        ends.append((0.0 if last is None else ends[last]) + (job.seconds or 0.0))
-    chain: list[tuple[str, float]] = []
-    at = max(range(len(jobs)), key=lambda number: ends[number], default=None)
-    longest = 0.0 if at is None else ends[at]
-    while at is not None:
-        chain.append((jobs[at].name, jobs[at].seconds or 0.0))
-        at = before[at]
-    return tuple(chain[::-1]), longest
+        seconds = job.seconds or 0.0
+        before, chain = max((chains[n] for n in job.needs if n in chains), key=itemgetter(0), default=(0.0, ()))
+        chains[job.name] = before + seconds, (*chain, (job.name, seconds))
+    return max(chains.values(), key=itemgetter(0), default=(0.0, ()))
