@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import textwrap
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 from artifact import datasets
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
 
 _WIDTHS = (13, 12, 15, 16, 30, 58)  # characters of the columns
 _HEAD = ("dataset", "state", "images", "files", "licence", "how to get it")
+_HEAD_MISSING = ("what", "state", "size", "licence", "how to get it")
 _NOW = (
     ("make reproduce", "the demo: rendered pairs and real Gardens Point, with three baselines"),
     ("make rehearsal", "every page of the paper on made descriptors: no number is a result"),
@@ -33,25 +36,16 @@ def status_lines(manifest: Manifest) -> Iterator[str]:
 
 
 def _row(manifest: Manifest, name: str, states: Sequence[published.State]) -> tuple[str, ...]:
-    counts = {
-        status: [s.status for s in states].count(status) for status in ("verified", "present", "missing", "changed")
-    }
-    parts = [f"{n} {status}" for status, n in counts.items() if n]
-    state = parts[0].partition(" ")[2] if len(parts) == 1 else ", ".join(parts)
+    counts = Counter(state.status for state in states)
+    found = [status for status in ("verified", "present", "missing", "changed") if counts[status]]
+    state = found[0] if len(found) == 1 else ", ".join(f"{counts[status]} {status}" for status in found)
     numbers = [f"{s.images:,}" if s.images is not None else "–" for s in states]
     images = ", ".join(numbers) if set(numbers) != {"–"} else "–"
     files = list({file.path: file for one in states for file in one.originals}.values())
     here = sum(file.path.exists() for file in files)
     how = "" if counts["verified"] == len(states) else how_to_get(manifest, name)
     size = originals.in_words(sum(file.entry.megabytes or 0 for file in files) or None)
-    return (
-        name,
-        state,
-        images,
-        f"{here} of {len(files)}, {size}",
-        manifest.dataset(name).licence,
-        how,
-    )
+    return name, state, images, f"{here} of {len(files)}, {size}", manifest.dataset(name).licence, how
 
 
 def how_to_get(manifest: Manifest, dataset: str) -> str:
@@ -80,17 +74,12 @@ def require(manifest: Manifest, tasks: Sequence[Task]) -> None:
         entry = manifest.method(method)
         state = weights.state(method, entry)
         if state.status in ("missing", "changed") and entry.weights:
-            size = originals.in_words(
-                sum((file.size or 0) / 1e6 or file.megabytes or 0 for file in entry.weights.files)
-            )
+            megabytes = sum((file.size or 0) / 1e6 or file.megabytes or 0 for file in entry.weights.files)
+            size = originals.in_words(megabytes)
             rows.append((method, f"{state.status} weights", size, entry.weights.licence, "make data PROFILE=paper"))
     here = [name for name in of_files if name not in faults]
-    raise DatasetError(
-        "\n".join(["nothing was run, since this is missing:", *_table([_HEAD_MISSING, *rows]), *_now(here)])
-    )
-
-
-_HEAD_MISSING = ("what", "state", "size", "licence", "how to get it")
+    lines = ["nothing was run, since this is missing:", *_table([_HEAD_MISSING, *rows]), *_now(here)]
+    raise DatasetError("\n".join(lines))
 
 
 def _row_of_missing(manifest: Manifest, name: str, fault: str) -> tuple[str, ...]:
@@ -120,10 +109,7 @@ def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
             textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False) or [""]
             for text, width in zip(row, widths, strict=True)
         ]
-        for line in range(max(map(len, cells))):
-            parts = [
-                (cell[line] if line < len(cell) else "").ljust(width) for cell, width in zip(cells, widths, strict=True)
-            ]
-            yield "  ".join(parts).rstrip()
+        for line in zip_longest(*cells, fillvalue=""):
+            yield "  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip()
         if number == 0:
             yield "  ".join("-" * width for width in widths)

@@ -10,9 +10,9 @@ import os
 import platform
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING
 
 import pandas as pd
+import torch
 from tqdm import tqdm
 
 from artifact.book import runner
@@ -20,14 +20,11 @@ from artifact.commands import costs, jobs, probes
 from artifact.commands.costs import STEPS, PairCost
 from artifact.commands.jobs import Job
 from artifact.commands.simulate import schedule
-from artifact.extraction import local_features, reading, timing
+from artifact.extraction import forward, local_features, reading, timing
 from artifact.extraction.costs import ExtractionCost, KnownTraversal, extraction_cost, known_traversals
 from artifact.extraction.disk import free_bytes, in_words
 from artifact.extraction.timing import Trials
 from artifact.manifest import Manifest
-
-if TYPE_CHECKING:
-    import torch
 
 _SHOWN_NEEDS = 6  # of a job, in a line
 
@@ -47,8 +44,6 @@ def lines(manifest: Manifest, profile: str, *, device: str | None = None, precis
     ExtractionError
         If a device is not on this machine.
     """
-    from artifact.extraction import forward
-
     devices = forward.devices(device)
     extractions, _ = _extractions(manifest, profile, Trials(), devices, precision)
     yield from table(extractions)
@@ -71,8 +66,6 @@ def run_lines(manifest: Manifest, profile: str, *, device: str | None = None) ->
     ExtractionError
         If a device is not on this machine.
     """
-    from artifact.extraction import forward
-
     devices = forward.devices(device)
     extractions, found, pairs = _measured(manifest, profile, devices)
     yield from run_table(pairs)
@@ -107,8 +100,6 @@ def run_frame(manifest: Manifest, profile: str, *, device: str | None = None) ->
     Columns: ``method``, ``dataset``, ``images`` to describe, hours of each step (``extraction_h``, ...), peak ``memory`` and
     ``disk`` in bytes, and ``machine`` in words.
     """
-    from artifact.extraction import forward
-
     devices = forward.devices(device)
     extractions, _, pairs = _measured(manifest, profile, devices)
     memory, torch_ = in_words(timing.available_memory()), version("torch")
@@ -127,8 +118,6 @@ def planned_jobs(manifest: Manifest, profile: str, *, device: str | None = None)
 
     Traversals whose number of images nobody knows yet are left out.
     """
-    from artifact.extraction import forward
-
     _, found, pairs = _measured(manifest, profile, forward.devices(device)[:1])  # each job runs on one
     images = {name: {one.name: one.images for one in known if one.images} for name, known in found.items()}
     return jobs.planned(manifest, runner.plan(manifest, profile), images, pairs)
@@ -138,14 +127,12 @@ def job_lines(graph: Sequence[Job]) -> Iterator[str]:
     """Yield a line for each job: its name, time, memory, whether it wants a GPU, and what it needs."""
     yield f"{len(graph)} jobs: time, memory, device, name, needs"
     for job in graph:
-        needs = (
-            [*job.needs] if len(job.needs) < _SHOWN_NEEDS else [job.needs[0], f"… ({len(job.needs)})", job.needs[-1]]
-        )
-        memory = in_words(job.memory) if job.memory else "–"
-        device = "GPU" if job.on_device else "CPU"
-        yield f"{duration(job.seconds):>12}  {memory:>9}  {device}  {job.name}" + (
-            f"  ← {', '.join(needs)}" if needs else ""
-        )
+        needs = job.needs
+        if len(needs) >= _SHOWN_NEEDS:
+            needs = needs[0], f"… ({len(needs)})", needs[-1]
+        memory, device = in_words(job.memory) if job.memory else "–", "GPU" if job.on_device else "CPU"
+        after = f"  ← {', '.join(needs)}" if needs else ""
+        yield f"{duration(job.seconds):>12}  {memory:>9}  {device}  {job.name}{after}"
 
 
 def schedule_lines(graph: Sequence[Job], workers: Sequence[int], gpus: int) -> Iterator[str]:
@@ -167,25 +154,20 @@ def _measured(
     """What extractions take, what is known of traversals, and what all steps of each pair take, by short probes."""
     trials = Trials(manifest.cache / "probes.json")
     extractions, found = _extractions(manifest, profile, trials, devices, "float32")
-    entries = {cost.method: manifest.method(cost.method) for cost in extractions}
-    layouts = {name: local_features.layout_of(entry) for name, entry in entries.items()}
-    rates = probes.rates(trials, sorted({at.shape for at in layouts.values() if at and not at.bits}))
-    shown = embedded_pair(manifest, profile)
+    entry = manifest.profile(profile)
+    methods = {name: manifest.method(name) for name in entry.methods}
+    layouts = [local_features.layout_of(method) for method in methods.values()]
+    rates = probes.rates(trials, sorted({layout.shape for layout in layouts if layout and not layout.bits}))
+    # Fig. 3 shows the first method that does not re-rank, on a dataset with mixed maps if there is one.
+    single_stage = [name for name in entry.methods if methods[name].rerank is None]
+    mixed = [name for name in entry.datasets if manifest.dataset(name).same_condition_traversal]
+    shown = single_stage[:1], (mixed or entry.datasets)[:1]
     pairs = []
     for cost in extractions:
-        embedded = (cost.method, cost.dataset) == shown
+        embedded = ([cost.method], [cost.dataset]) == shown
         pair = costs.sizes(manifest, cost.method, cost.dataset, found[cost.dataset], embedded=embedded)
-        pairs.append(costs.pair_cost(pair, entries[cost.method], cost, rates))
+        pairs.append(costs.pair_cost(pair, methods[cost.method], cost, rates))
     return extractions, found, pairs
-
-
-def embedded_pair(manifest: Manifest, profile: str) -> tuple[str, str] | None:
-    """Return the method and dataset of Fig. 3: the first single-stage method, and the dataset with mixed maps."""
-    entry = manifest.profile(profile)
-    methods = [name for name in entry.methods if manifest.method(name).rerank is None]
-    mixed = [name for name in entry.datasets if manifest.dataset(name).same_condition_traversal]
-    names = mixed or entry.datasets
-    return (methods[0], names[0]) if methods and names else None
 
 
 def _extractions(
@@ -194,14 +176,11 @@ def _extractions(
     entry = manifest.profile(profile)
     known = {name: known_traversals(manifest, name) for name in entry.datasets}
     found = []
-    with tqdm(total=len(entry.methods), unit="method", desc="timing", leave=False, disable=None) as bar:
-        for method in entry.methods:
-            bar.set_postfix_str(method)
-            found += [
-                extraction_cost(manifest, method, name, known[name], trials, devices, precision)
-                for name in entry.datasets
-            ]
-            bar.update()
+    bar = tqdm(entry.methods, unit="method", desc="timing", leave=False, disable=None)
+    for method in bar:
+        bar.set_postfix_str(method)
+        for name in entry.datasets:
+            found.append(extraction_cost(manifest, method, name, known[name], trials, devices, precision))
     return found, known
 
 
@@ -290,7 +269,6 @@ def duration(seconds: float | None) -> str:
         return "?"
     if seconds < 60:
         return f"{seconds:.1f} s" if 0 < seconds < 9.95 else f"{seconds:.0f} s"
-    for large, small, names in ((86400, 3600, ("d", "h")), (3600, 60, ("h", "min")), (60, 1, ("min", "s"))):
-        if seconds >= large:
-            return f"{seconds // large:.0f} {names[0]} {seconds % large // small:.0f} {names[1]}"
-    raise AssertionError
+    units = (86400, 3600, "d", "h"), (3600, 60, "h", "min"), (60, 1, "min", "s")
+    large, small, *names = next(unit for unit in units if seconds >= unit[0])
+    return f"{seconds // large:.0f} {names[0]} {seconds % large // small:.0f} {names[1]}"

@@ -6,8 +6,9 @@ tests assert that every rank stays the same. The vocabulary of VLAD is made here
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from sklearn.cluster import KMeans
 from artifact import datasets, methods, store
 from artifact.datasets import shipped
 from artifact.datasets.appearance import appearance, appearance_key
-from artifact.extraction import extract, reading
+from artifact.extraction import extract, jobs, reading
 from artifact.manifest import Manifest
 from artifact.methods import efficientnet_lite
 
@@ -27,17 +28,7 @@ _WORDS = 16
 def ship(manifest: Manifest, dataset: str, methods: Iterable[str]) -> list[str]:
     """Store a dataset's descriptors and image statistics in the package; of a rendered one, a vocabulary from its images.
 
-    Parameters
-    ----------
-    manifest, dataset
-        The dataset; its images must be at hand.
-    methods
-        Names of the methods.
-
-    Returns
-    -------
-    list of str
-        The files written.
+    Returns the files written.
 
     Raises
     ------
@@ -55,23 +46,23 @@ def ship(manifest: Manifest, dataset: str, methods: Iterable[str]) -> list[str]:
     store.write_json(folder / "traversals.json", record)
     written = []
     for traversal in traversals:
+        kept = {"key": appearance_key(traversal), "traversal": traversal.name}
         path = folder / f"{traversal.name}-appearance.npy"
-        with store.replacing(path) as temporary:
-            np.save(temporary, appearance(traversal, manifest.cache))
-        kept = {"key": appearance_key(traversal), "traversal": traversal.name, "sha256": store.digest_of_file(path)}
-        store.write_json(path.with_suffix(".json"), kept)
-        written.append(str(path))
+        written.append(_save(path, appearance(traversal, manifest.cache), kept))
     for method in methods:
         for traversal in traversals:
             found = extract.descriptors(manifest, traversal, method, progress=True)
-            path = folder / f"{traversal.name}-{method}.npy"
-            with store.replacing(path) as temporary:
-                np.save(temporary, found.values.astype(np.float16))
             kept = {name: found.sidecar[name] for name in ("key", "method", "traversal", "images", "shape", "torch")}
-            digest = store.digest_of_file(path)
-            store.write_json(path.with_suffix(".json"), {**kept, "dtype": "float16", "sha256": digest})
-            written.append(str(path))
+            path = folder / f"{traversal.name}-{method}.npy"
+            written.append(_save(path, found.values.astype(np.float16), {**kept, "dtype": "float16"}))
     return written
+
+
+def _save(path: Path, values: np.ndarray, record: Mapping[str, Any]) -> str:
+    with store.replacing(path) as temporary:
+        np.save(temporary, values)
+    store.seal(path, record)
+    return str(path)
 
 
 def _ship_vocabulary(manifest: Manifest, dataset: str) -> str:
@@ -82,16 +73,12 @@ def _ship_vocabulary(manifest: Manifest, dataset: str) -> str:
     """
     entry, loaded = manifest.method(_TRUNK), datasets.load(manifest, dataset)
     model, images = methods.model_of(_TRUNK, entry), [*loaded.query.image_paths(), *loaded.database.image_paths()]
-    batches = [images[start : start + entry.batch_size] for start in range(0, len(images), entry.batch_size)]
     features = []
-    for prepared, _ in reading.read_batches(batches, entry.preprocessing):
+    for prepared, _ in reading.read_batches(jobs.batches(images, entry.batch_size), entry.preprocessing):
         with torch.inference_mode():
             maps = model.maps(torch.from_numpy(np.stack(prepared)))
             features.append(efficientnet_lite.local_features(maps)[:, ::4].flatten(0, 1).numpy())
     found = KMeans(_WORDS, n_init=3, random_state=0).fit(np.concatenate(features))
     path = Path(methods.__file__).parent / efficientnet_lite.VOCABULARY
-    with store.replacing(path) as temporary:
-        np.save(temporary, found.cluster_centers_.astype(np.float32))
     made = {"dataset": dataset, "images": [loaded.query.digest, loaded.database.digest], "seed": 0}
-    store.write_json(path.with_suffix(".json"), made | {"sha256": store.digest_of_file(path)})
-    return str(path)
+    return _save(path, found.cluster_centers_.astype(np.float32), made)

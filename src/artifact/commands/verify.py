@@ -71,9 +71,7 @@ def look_at(folder: Path) -> tuple[int, list[Damaged]]:
     """Read everything below a folder that has a record or a checksum; return how many results, and the damaged ones."""
     results, damaged = 0, []
     for place in sorted(folder.rglob("*.json")):
-        found = _beside(place)
-        if place == store.record_path(place.parent):
-            found = [place.parent]
+        found = [place.parent] if place == store.record_path(place.parent) else _beside(place)
         results += len(found)
         for path in found:
             try:
@@ -111,9 +109,9 @@ def changed_files(manifest: Manifest, names: Iterable[str]) -> list[str]:
             continue
         for traversal in runner.load_all(manifest, name):
             given = [*traversal.descriptors.values(), *traversal.second_stage.values()]
-            files = (
-                traversal.image_paths() if traversal.has_images else [one.path for one in given if one.path is not None]
-            )
+            files = [one.path for one in given if one.path is not None]
+            if traversal.has_images:
+                files = traversal.image_paths()
             for path in store.changed_in_silence(files, manifest.cache):
                 lines.append(f"CHANGED   {path}: its content is not what it was, though it was not written since")
     return lines
@@ -172,8 +170,7 @@ def _verify_weights(manifest: Manifest, profile: str) -> tuple[list[str], int]:
     checked, faults = 0, []
     for name in manifest.profile(profile).methods:
         entry = manifest.method(name).weights
-        paths = [weights.path_of(entry, file) for file in entry.files] if entry else []
-        for path in paths:
+        for path in [weights.path_of(entry, file) for file in entry.files] if entry else []:
             if path.exists() and lock.path_of(path).exists():
                 checked += 1
                 if store.digest_of_file(path) != lock.read(path)["sha256"]:
@@ -191,8 +188,7 @@ def _against_the_paper(manifest: Manifest, profile: str) -> tuple[list[str], int
         return [f"profile {profile!r} has no {what} of the paper: nothing to compare with its numbers"], 0
     lines, ready = [], []
     for name in comparable:
-        missing = datasets.describe_missing(manifest, name)
-        if missing:
+        if missing := datasets.describe_missing(manifest, name):
             lines.append(f"MISSING   {name}: {missing.splitlines()[0]}")
         else:
             ready.append(name)
