@@ -61,15 +61,18 @@ def build(manifest: Manifest) -> tuple[Path, float | None]:
         If a page of the table of contents is missing or damaged, or the strict build finds any fault.
     """
     source = source_folder(manifest)
-    pages = _pages(source)
+    toc = yaml.safe_load((source / "_toc.yml").read_text(encoding="utf-8"))
+    chapters = (chapter["file"] for part in toc.get("parts", [toc]) for chapter in part.get("chapters", []))
+    pages = [toc["root"], *chapters]
     missing = [page for page in pages if not _is_there(source, page)]
     if missing:
         raise BookError(
             f"{len(missing)} pages are missing, first {source / missing[0]}: run `make reproduce` (or `python -m "
             f"artifact reproduce`) first"
         )
+    _add_own_runs(toc, source, pages)
     with store.replacing(source / _CONTENTS) as temporary:
-        temporary.write_text(yaml.safe_dump(_with_own_runs(source, pages), sort_keys=False), encoding="utf-8")
+        temporary.write_text(yaml.safe_dump(toc, sort_keys=False), encoding="utf-8")
     for page in (source / "executed").glob("[!.]*"):
         try:
             if page.suffix != ".json":
@@ -115,9 +118,8 @@ def _build_strictly(source: Path) -> None:
         raise BookError(f"the strict build of {source} failed:\n{shown}")
 
 
-def _with_own_runs(source: Path, pages: list[str]) -> dict[str, Any]:
-    """Return the table of contents, with the pages that were made with other parameters as a part of their own."""
-    toc = yaml.safe_load((source / "_toc.yml").read_text(encoding="utf-8"))
+def _add_own_runs(toc: dict[str, Any], source: Path, pages: list[str]) -> None:
+    """Add the pages that were made with other parameters to the table of contents, as a part of their own."""
     beside = tuple(f"{Path(page).name}-" for page in pages)
     names = sorted(path.stem for path in (source / "executed").glob("*.ipynb"))
     own = [{"file": f"executed/{name}"} for name in names if name.startswith(beside)]
@@ -125,12 +127,6 @@ def _with_own_runs(source: Path, pages: list[str]) -> dict[str, Any]:
         toc["parts"].append({"caption": "Your runs", "chapters": own})
     elif own:
         toc["chapters"] += own
-    return toc
-
-
-def _pages(source: Path) -> list[str]:
-    toc = yaml.safe_load((source / "_toc.yml").read_text(encoding="utf-8"))
-    return [toc["root"], *(chapter["file"] for part in toc.get("parts", [toc]) for chapter in part.get("chapters", []))]
 
 
 def _is_there(source: Path, page: str) -> bool:

@@ -153,7 +153,10 @@ def plan(
 
 
 def _task(manifest: Manifest, profile: str, path: Path, values: dict[str, Any], dataset_asked: bool) -> Task:
-    names, used = _scope(manifest, profile, values)
+    """A notebook with the datasets and methods that it uses, read off its parameters."""
+    entry = manifest.profile(profile)
+    names = named(values, "dataset", entry.datasets) if {"dataset", "datasets"} & values.keys() else ()
+    used = named(values, "method", entry.methods) if names and {"method", "methods"} & values.keys() else ()
     if "single_stage" in path.read_text(encoding="utf-8"):
         used = tuple(single_stage(manifest, used))
     return Task(path, values, names, used, dataset_asked, profile)
@@ -171,13 +174,6 @@ def _check_profile(manifest: Manifest, profile: str, notebooks: Mapping[str, Pat
                 if name not in allowed:
                     has = ", ".join(allowed)
                     raise ManifestError(f"{where}: names {name!r}, which the profile lacks; it has {has}")
-
-
-def _scope(manifest: Manifest, profile: str, values: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Datasets and methods that a notebook uses, read off its parameters."""
-    entry = manifest.profile(profile)
-    names = named(values, "dataset", entry.datasets) if {"dataset", "datasets"} & values.keys() else ()
-    return names, named(values, "method", entry.methods) if names and {"method", "methods"} & values.keys() else ()
 
 
 def with_what_is_here(manifest: Manifest, tasks: Sequence[Task]) -> list[Task]:

@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,8 @@ def run(manifest: Manifest, options: argparse.Namespace) -> Iterator[str]:
     page = _page(preview)
     with store.replacing(folder / PREVIEW) as temporary:
         temporary.write_text(page, encoding="utf-8")
-    shown = _as_typed(folder)
+    here = Path.cwd()
+    shown = folder.relative_to(here) if folder.is_relative_to(here) else folder
     yield f"{shown}/{DESCRIPTION} and {shown}/{PREVIEW} written; next:"
     yield f'  make reproduce SET=\'datasets=["{shown}"] dataset="{shown}"\''
     yield f"  .venv/bin/python -m artifact evaluate --datasets {shown}"
@@ -98,7 +100,7 @@ def _parts(options: argparse.Namespace) -> dict[str, Path]:
     """Folders of images by traversal: the query, the database, then the others."""
     asked = [("query", options.query), ("database", options.database)]
     asked += [("traversal", text) for text in options.traversal]
-    named = []
+    names, folders = [], []
     for role, text in asked:
         name, equals, path = text.partition("=")
         images = Path(path if equals else text).expanduser().resolve()
@@ -106,15 +108,13 @@ def _parts(options: argparse.Namespace) -> dict[str, Path]:
             raise DatasetError(f"--{role} {text}: no folder {images}")
         if role == "traversal" and not equals:
             raise DatasetError(f"--traversal {text}: allowed: NAME=DIR, for example rain=photos/rain")
-        named.append(
-            (role, re.sub(r"[^A-Za-z0-9_.,+-]+", "_", name if equals else images.name).lstrip("_.,+-"), images)
-        )
-    names = [name for _, name, _ in named]
+        names.append(re.sub(r"[^A-Za-z0-9_.,+-]+", "_", name if equals else images.name).lstrip("_.,+-"))
+        folders.append(images)
     if names[0] == names[1] or not all(names[:2]):
         names[:2] = ["query", "database"]
     if len(set(names)) != len(names) or not all(names):
         raise DatasetError(f"the traversals are named {', '.join(names)}; every name must be there once")
-    return {name: images for name, (_, _, images) in zip(names, named, strict=True)}
+    return dict(zip(names, folders, strict=True))
 
 
 def _sources(parts: dict[str, Path], options: argparse.Namespace) -> dict[str, tuple[str, Path | None]]:
@@ -125,8 +125,7 @@ def _sources(parts: dict[str, Path], options: argparse.Namespace) -> dict[str, t
         if missing or len(files) not in (1, len(parts)):
             fault = f"no file {missing}" if missing else f"{len(files)} files for {len(parts)} traversals"
             raise DatasetError(f"--positions: {fault}; allowed: one CSV for all, or one for each in their order")
-        files = files * len(parts) if len(files) == 1 else files
-        return {name: ("csv", file) for name, file in zip(parts, files, strict=True)}
+        return {name: ("csv", file) for name, file in zip(parts, cycle(files), strict=False)}
     if options.names or options.order:
         return dict.fromkeys(parts, ("names" if options.names else "order", None))
     return {name: (positions_source(images), None) for name, images in parts.items()}
@@ -157,9 +156,3 @@ def _page(preview: Preview) -> str:
         *(dataset.title, pages.style.page_style(), dataset.title),
     )
     return pages.common.join([head, *parts]).data
-
-
-def _as_typed(folder: Path) -> str:
-    """The folder relative to where the command was typed, if it lies below."""
-    here = Path.cwd()
-    return str(folder.relative_to(here)) if folder.is_relative_to(here) else str(folder)

@@ -110,22 +110,16 @@ def run(client: Client, manifest: Manifest, graph: Sequence[Job]) -> dict[str, E
     from distributed import as_completed
 
     blas = max((pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"), default=1)
-    place = Place(manifest, _variables(manifest), torch.get_num_threads(), blas)
+    variables = {CACHE_VARIABLE: str(manifest.cache), DATA_ROOT_VARIABLE: str(manifest.data_root)}
+    place = Place(manifest, variables, torch.get_num_threads(), blas)
     tag = f"{time.time_ns():x}"
     shared = client.submit(_same, place, key=f"place-{tag}")
     offered = _offered(client)
     futures: dict[str, Any] = {}
     for number, job in enumerate(graph):
-        futures[job.name] = client.submit(
-            perform,
-            job,
-            shared,
-            [futures[need] for need in job.needs],
-            key=f"{job.name}-{tag}",
-            priority=-number,
-            retries=_RETRIES,
-            resources=_resources(job, offered),
-        )
+        needed = [futures[need] for need in job.needs]
+        how = {"priority": -number, "retries": _RETRIES, "resources": _resources(job, offered)}
+        futures[job.name] = client.submit(perform, job, shared, needed, key=f"{job.name}-{tag}", **how)
     names = {future.key: name for name, future in futures.items()}
     ended: dict[str, Ended] = {}
     look = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}, {rate_fmt}{postfix}]"
@@ -138,11 +132,10 @@ def run(client: Client, manifest: Manifest, graph: Sequence[Job]) -> dict[str, E
                 bar.set_postfix_str(progress(graph, ended, *_workers(client)), refresh=False)
                 told = time.monotonic()
             bar.update()
-    found: dict[str, Ended] = {}
-    for job in graph:
-        lost = ended[job.name].fault is not None and any(found[need].fault is not None for need in job.needs)
-        found[job.name] = Ended(0.0, "", _NOT_RUN) if lost else ended[job.name]
-    return found
+    for job in graph:  # each stands after those that it needs
+        if ended[job.name].fault is not None and any(ended[need].fault is not None for need in job.needs):
+            ended[job.name] = Ended(0.0, "", _NOT_RUN)
+    return {job.name: ended[job.name] for job in graph}
 
 
 def progress(graph: Sequence[Job], ended: Mapping[str, Ended], workers: int, gpus: int) -> str:
@@ -172,10 +165,6 @@ def _workers(client: Client) -> tuple[int, int]:
 
 def _same(place: Place) -> Place:
     return place
-
-
-def _variables(manifest: Manifest) -> dict[str, str]:
-    return {CACHE_VARIABLE: str(manifest.cache), DATA_ROOT_VARIABLE: str(manifest.data_root)}
 
 
 def _offered(client: Client) -> dict[str, float]:
@@ -210,12 +199,13 @@ def perform(job: Job, place: Place, needed: Sequence[Ended]) -> Ended:
     torch.set_num_threads(place.torch_threads)
     if devices():
         torch.cuda.set_device(_device(worker))
+    fault = None
     try:
         with threadpool_limits(place.blas_threads, user_api="blas"):
             _do(job, place.manifest, worker)
     except _USER_ERRORS as error:
-        return Ended(time.monotonic() - begun, worker.address, str(error))
-    return Ended(time.monotonic() - begun, worker.address)
+        fault = str(error)
+    return Ended(time.monotonic() - begun, worker.address, fault)
 
 
 def _do(job: Job, manifest: Manifest, worker: Any) -> None:
@@ -239,11 +229,8 @@ def _forward(worker: Any, job: ExtractionJob) -> Any:
 
 
 def _device(worker: Any) -> str:
-    count = devices()
-    if not count:
-        return "cpu"
     number = int(worker.name) if str(worker.name).isdigit() else 0
-    return f"cuda:{number % count}"
+    return f"cuda:{number % count}" if (count := devices()) else "cpu"
 
 
 def record(manifest: Manifest, where: str, ended: Mapping[str, Ended], logs: Mapping[str, Any]) -> Path:

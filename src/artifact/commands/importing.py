@@ -121,19 +121,17 @@ def _check_code(manifest: Manifest, bundle: Bundle, source: Path) -> None:
         raise store.StoreError(f"{source}: is of format {bundle.format}; this code reads format {imported.FORMAT}")
     ours = revisions()
     for name in [*ours, *bundle.revisions]:
-        if ours.get(name) != bundle.revisions.get(name):
-            raise store.StoreError(
-                f"{source}: was made with {name} {bundle.revisions.get(name)}, here is {ours.get(name)}; import it with the "
-                f"code that made it: {bundle.code}"
-            )
+        here, theirs = ours.get(name), bundle.revisions.get(name)
+        if here != theirs:
+            made = f"was made with {name} {theirs}, here is {here}"
+            raise store.StoreError(f"{source}: {made}; import it with the code that made it: {bundle.code}")
     profile = manifest.profile(bundle.profile)
-    for what, theirs, here in (
-        ("datasets", bundle.datasets, profile.datasets),
-        ("methods", bundle.weights, profile.methods),
-    ):
-        if {*theirs} != {*here}:
-            odd = ", ".join(sorted({*theirs} ^ {*here}))
-            raise store.StoreError(f"{source}: profile {bundle.profile} has other {what} here: {odd}")
+    odd_datasets, odd_methods = {*bundle.datasets} ^ {*profile.datasets}, {*bundle.weights} ^ {*profile.methods}
+    for what, odd in (("datasets", odd_datasets), ("methods", odd_methods)):
+        if odd:
+            raise store.StoreError(
+                f"{source}: profile {bundle.profile} has other {what} here: {', '.join(sorted(odd))}"
+            )
 
 
 def _check_sizes(manifest: Manifest, bundle: Bundle, listed: Mapping[str, zipfile.ZipInfo], source: Path) -> None:
@@ -222,10 +220,9 @@ def _fault(manifest: Manifest, bundle: Bundle, dataset: str, name: str, record: 
     entry = manifest.dataset(dataset) if dataset in bundle.datasets else None
     if entry is None or name not in entry.traversals:
         return "the manifest has no such traversal"
-    if (record.kind, record.condition) != (entry.kind, entry.traversals[name].condition):
-        return (
-            f"is {record.kind}, {record.condition}; the manifest says {entry.kind}, {entry.traversals[name].condition}"
-        )
+    condition = entry.traversals[name].condition
+    if (record.kind, record.condition) != (entry.kind, condition):
+        return f"is {record.kind}, {record.condition}; the manifest says {entry.kind}, {condition}"
     n, widths = len(record.image_names), {len(place) for place in record.positions}
     if not n or len(record.positions) != n or len(widths) != 1 or not 1 <= min(widths) <= 3:
         return f"has {n} images and positions {len(record.positions)} × {sorted(widths)}"
@@ -257,10 +254,8 @@ def _expected_keys(
         return None
     model = methods.fingerprint(method, entry)
     if entry.weights is not None:
-        ours = model["weights"]
-        model["weights"] = [
-            theirs if here is None else here for here, theirs in zip(ours, bundle.weights[method], strict=False)
-        ]
+        both = zip(model["weights"], bundle.weights[method], strict=False)
+        model["weights"] = [theirs if here is None else here for here, theirs in both]
     key = extraction_stored.key_of_descriptors(record.digest, model)
     second = extraction_stored.key_of_second_stage(key, entry) if local_features.layout_of(entry) else None
     return key, second

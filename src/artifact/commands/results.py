@@ -18,7 +18,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from artifact import methods, store, suppression
 from artifact.book import runner
@@ -38,10 +38,8 @@ BLOCK = 2**20  # bytes that are copied at a time
 _STAMP = (1980, 1, 1, 0, 0, 0)  # of every file: equal results give equal bundles
 
 
-class ResultRecord(BaseModel):
+class ResultRecord(BaseModel, frozen=True):
     """The record beside a stored result; what else it says of a machine is left out."""
-
-    model_config = ConfigDict(frozen=True)
 
     key: Digest
     sha256: Digest
@@ -52,10 +50,8 @@ class ResultRecord(BaseModel):
     stage: str = ""
 
 
-class _Time(BaseModel):
+class _Time(BaseModel, extra="forbid", frozen=True):
     """Time of a method for Table II, as :func:`artifact.extraction.timing.store_times` keeps it."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     seconds: float | None
     note: str
@@ -63,10 +59,8 @@ class _Time(BaseModel):
     cores: int | None
 
 
-class Times(BaseModel):
+class Times(BaseModel, extra="forbid", frozen=True):
     """Times of methods, by name."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     times: dict[str, _Time]
 
@@ -112,9 +106,8 @@ def export(manifest: Manifest, profile: str, target: Path) -> Iterator[str]:
     ]
     arrays = {name: manifest.cache / name for name in dict.fromkeys([*results, *measured])}
     sizes = [path.stat().st_size for path in arrays.values() if path.exists()]
-    yield (
-        f"{target}: {len(arrays)} results of {len(tasks)} pages, at most {in_words(sum(sizes))}; no images, no descriptors"
-    )
+    about = f"{len(arrays)} results of {len(tasks)} pages, at most {in_words(sum(sizes))}"
+    yield f"{target}: {about}; no images, no descriptors"
     written: dict[str, bytes] = {}
     for name, path in arrays.items():
         record = read_record(path.with_suffix(".json"), ResultRecord)

@@ -7,6 +7,7 @@ import logging
 import os
 import signal
 from collections.abc import Iterator
+from importlib.util import find_spec
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,11 +66,7 @@ def devices() -> int:
 
 def is_there() -> bool:
     """Whether the extra ``cluster`` is installed."""
-    try:
-        import distributed  # noqa: F401
-    except ImportError:
-        return False
-    return True
+    return find_spec("distributed") is not None
 
 
 @contextlib.contextmanager
