@@ -106,16 +106,8 @@ def _evaluated(
     queries: Images, database: Images, pools: dict[str, Images], threshold: float, options: argparse.Namespace
 ) -> dict[str, Evaluation]:
     """Results by what was done to the descriptors; with suppression on the evaluation region, else on everything."""
-    asked: Sequence[str] = options.suppress
-    distractors: dict[str, Any] = {}
-    if pools:
-        distractors = {
-            "distractors": {name: pool.descriptors for name, pool in pools.items()},
-            "distractor_positions": {name: pool.positions for name, pool in pools.items()},
-        }
-    if not asked:
-        result = evaluate(*_pair(queries, database), threshold, **distractors)
-        return _by_pool(ORIGINAL, result, pools)
+    if not options.suppress:
+        return _by_pool(ORIGINAL, _ranked(queries, database, pools, threshold), pools)
     region = split(queries.positions, database.positions, threshold, options.fraction)
     parts = [queries.descriptors[region.fit_queries], database.descriptors[region.fit_database]]
     if min(map(len, parts)) < 2:
@@ -124,21 +116,22 @@ def _evaluated(
             f"raise --fraction"
         )
     X, condition = np.concatenate(parts).astype(np.float32), np.repeat([QUERY, DATABASE], [len(part) for part in parts])
-    fits = fitted.fit(X, condition, asked, seed=options.seed)
+    fits = fitted.fit(X, condition, options.suppress, seed=options.seed)
     queries = _part(queries, region.evaluation_queries)
     database = _part(database, region.evaluation_database)
     views = {name: fits[name] for name in fitted.LOW_RANK if name in fits}
-    result = evaluate(*_pair(queries, database), threshold, views=views, **distractors)
+    result = _ranked(queries, database, pools, threshold, views)
     results = {}
     for name in (ORIGINAL, *views):
         results |= _by_pool(name, result[name], pools)
     if std := fits.get("STD"):
-        moved = queries._replace(descriptors=std.transform(queries.descriptors, QUERY))
-        against = database._replace(descriptors=std.transform(database.descriptors, DATABASE))
-        if pools:
-            changed = {name: std.transform(pool.descriptors, QUERY) for name, pool in pools.items()}
-            distractors = {**distractors, "distractors": changed}
-        results |= _by_pool("STD", evaluate(*_pair(moved, against), threshold, **distractors), pools)
+
+        def rescaled(images: Images, condition: int) -> Images:
+            return images._replace(descriptors=std.transform(images.descriptors, condition))
+
+        others = {name: rescaled(pool, QUERY) for name, pool in pools.items()}
+        result = _ranked(rescaled(queries, QUERY), rescaled(database, DATABASE), others, threshold)
+        results |= _by_pool("STD", result, pools)
     return results
 
 
@@ -146,8 +139,11 @@ def _part(images: Images, rows: np.ndarray) -> Images:
     return images._replace(descriptors=images.descriptors[rows], positions=images.positions[rows])
 
 
-def _pair(queries: Images, database: Images) -> tuple[np.ndarray, ...]:
-    return queries.descriptors, database.descriptors, queries.positions, database.positions
+def _ranked(queries: Images, database: Images, pools: dict[str, Images], threshold: float, views: Any = None) -> Any:
+    values = {name: pool.descriptors for name, pool in pools.items()}
+    places = {name: pool.positions for name, pool in pools.items()}
+    pair = queries.descriptors, database.descriptors, queries.positions, database.positions
+    return evaluate(*pair, threshold, values or None, places or None, views=views)
 
 
 def _by_pool(name: str, result: Evaluation, pools: dict[str, Images]) -> dict[str, Evaluation]:
