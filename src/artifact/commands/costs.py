@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from artifact.commands.probes import INLP_ITERATIONS
 from artifact.extraction import local_features
@@ -63,7 +63,6 @@ class PairCost:
     method: str
     dataset: str
     steps: tuple[Step, ...]
-    notes: tuple[str, ...] = ()
 
     @property
     def memory(self) -> float:
@@ -142,10 +141,8 @@ def pair_cost(pair: Pair, entry: MethodEntry, extraction: ExtractionCost, rates:
         steps.append(_two_stage(pair, entry, measured))
     else:
         steps += [_ranking(pair, measured), *_suppression(pair, measured)]
-    known = (
-        Step(s.name, None if s.seconds is None or math.isnan(s.seconds) else s.seconds, s.memory, s.disk) for s in steps
-    )
-    return PairCost(extraction.method, extraction.dataset, tuple(known), extraction.notes)
+    known = (replace(step, seconds=None) if math.isnan(step.seconds or 0.0) else step for step in steps)
+    return PairCost(extraction.method, extraction.dataset, tuple(known))
 
 
 def pass_seconds(pair: Pair, rates: Mapping[str, float], views: int = 0, columns: int = 0) -> float:
@@ -177,19 +174,16 @@ def _ranking(pair: Pair, rates: Mapping[str, float]) -> Step:
 def _two_stage(pair: Pair, entry: MethodEntry, rates: Mapping[str, float]) -> Step:
     layout, candidates = local_features.layout_of(entry), entry.rerank or 0
     if layout is None or layout.bits:
-        first, score, draws = (
-            pass_seconds(Pair(pair.queries, pair.database, 0), rates),
-            pair.dimension * rates["cosine"],
-            10,
-        )
+        first = pass_seconds(Pair(pair.queries, pair.database, 0), rates)
+        score, draws, at_work = pair.dimension * rates["cosine"], 10, pair.bytes
     else:
-        first, score, draws = pass_seconds(pair, rates), rates[f"match {layout.shape}"], 3
+        first = pass_seconds(pair, rates)
+        score, draws, at_work = rates[f"match {layout.shape}"], 3, 2.0**30
     scored = pair.queries * min(_CANDIDATES_OF_BOTH * candidates, pair.images)
     if pair.pools:  # Fig. 7, and the sweeps of Fig. 6: each random order has its own candidates
         candidates_of_order = candidates * (1 + math.log(max(1, pair.queries / candidates)))
         scored += pair.queries * candidates * (1 + pair.pools) + (draws + 1) * pair.queries * candidates_of_order
-    memory = _PROCESS + _TILES + (pair.bytes if layout is None or layout.bits else 2**30)
-    return Step("ranking", first + scored * score, memory, _KEPT * pair.queries)
+    return Step("ranking", first + scored * score, _PROCESS + _TILES + at_work, _KEPT * pair.queries)
 
 
 def _suppression(pair: Pair, rates: Mapping[str, float]) -> Iterator[Step]:
@@ -198,20 +192,11 @@ def _suppression(pair: Pair, rates: Mapping[str, float]) -> Iterator[Step]:
     # Fig. 8 fits once, Table IV once alone and once after the other datasets.
     fits = dict.fromkeys(FRACTIONS, 1) | {FRACTION: 4}
     inlp_fits = fits | {FRACTION: 4 + pair.mixed + pair.embedded}
-    fitted = [pair.at(fraction) for fraction in FRACTIONS]
     transforms = 2 * 2 * 8.0 * pair.dimension  # both sides of two kept maps of Table IV, float64
-    yield Step(
-        "INLP",
-        sum(inlp_fits[f] * _inlp_seconds(at, rates) for f, at in zip(FRACTIONS, fitted, strict=True)),
-        max(_inlp_memory(at) for at in fitted),
-        transforms * INLP_ITERATIONS,
-    )
-    yield Step(
-        "LEACE",
-        sum(fits[f] * _leace_seconds(at, rates) for f, at in zip(FRACTIONS, fitted, strict=True)),
-        max(_leace_memory(at) for at in fitted),
-        transforms,
-    )
+    for name, fit, number, directions in (("INLP", _inlp, inlp_fits, INLP_ITERATIONS), ("LEACE", _leace, fits, 1)):
+        taken = {fraction: fit(pair.at(fraction), rates) for fraction in FRACTIONS}
+        seconds = sum(number[fraction] * seconds for fraction, (seconds, _) in taken.items())
+        yield Step(name, seconds, max(memory for _, memory in taken.values()), transforms * directions)
     both = INLP_ITERATIONS + 1
     standardised = pass_seconds(region, rates) + len(FRACTIONS) * pass_seconds(half, rates)
     rescaled = (region.images + len(FRACTIONS) * half.images) * pair.dimension * rates["scale"]
@@ -236,27 +221,19 @@ def _suppression(pair: Pair, rates: Mapping[str, float]) -> Iterator[Step]:
         yield Step("UMAP", seconds, _PROCESS + 3 * region.bytes, 16.0 * region.images)
 
 
-def _inlp_seconds(at: Pair, rates: Mapping[str, float]) -> float:
+def _inlp(at: Pair, rates: Mapping[str, float]) -> tuple[float, float]:
+    """Seconds, and bytes: Gram matrix or coordinates, and eigenvectors; or the rows in float64 and as much room to work."""
     n, d = at.images, at.dimension
     factored = n**2 * d * rates["gram"] + n**3 * rates["eigen"] if n < d else 0.0
-    return factored + INLP_ITERATIONS * n * min(n, d) * rates["inlp"]
+    memory = _PROCESS + at.bytes + 8.0 * n * (2 * n + 2 * _SLICE if n < d else 2 * d)
+    return factored + INLP_ITERATIONS * n * min(n, d) * rates["inlp"], memory
 
 
-def _leace_seconds(at: Pair, rates: Mapping[str, float]) -> float:
+def _leace(at: Pair, rates: Mapping[str, float]) -> tuple[float, float]:
+    """Seconds, and bytes: Gram matrix and its eigenvectors; or the centred rows with their scatter matrix."""
     n, d = at.images, at.dimension
-    return n * d * min(n, d) * rates["gram"] + min(n, d) ** 3 * rates["eigen"]
-
-
-def _inlp_memory(at: Pair) -> float:
-    """Gram matrix or coordinates, and eigenvectors; or the rows in float64 and as much room to work."""
-    n, d = at.images, at.dimension
-    return _PROCESS + at.bytes + 8.0 * n * (2 * n + 2 * _SLICE if n < d else 2 * d)
-
-
-def _leace_memory(at: Pair) -> float:
-    """Gram matrix and its eigenvectors; or the centred rows with their scatter matrix."""
-    n, d = at.images, at.dimension
-    return _PROCESS + at.bytes + 8.0 * (2 * n * (n + _SLICE) if n < d else 2 * n * d + 3 * d * d)
+    memory = _PROCESS + at.bytes + 8.0 * (2 * n * (n + _SLICE) if n < d else 2 * n * d + 3 * d * d)
+    return n * d * min(n, d) * rates["gram"] + min(n, d) ** 3 * rates["eigen"], memory
 
 
 def that_do_not_fit(

@@ -7,6 +7,7 @@ finds made already it leaves, so that a run that was interrupted does only what 
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import math
 from collections import Counter
@@ -256,14 +257,9 @@ def _study(
     takes = {*inspect.signature(study).parameters}
     if "fitting" in takes:
         takes |= {one.name for one in fields(Fitting)}
-    options = {name: parameters[name] for name in takes if name in parameters and name not in ("dataset", "method")}
-    for name, value in (("names", names), ("methods", [method]), ("dataset", names[0]), ("method", method)):
-        if name in takes:
-            options[name] = value
-    try:
-        study(manifest, **options)
-    except studies.common.NothingToShowError:
-        return
+    given = {**parameters, "names": names, "methods": [method], "dataset": names[0], "method": method}
+    with contextlib.suppress(studies.common.NothingToShowError):
+        study(manifest, **{name: given[name] for name in takes if name in given})
 
 
 def with_costs(jobs: Sequence[Job], costs: Sequence[PairCost]) -> list[Job]:
