@@ -78,91 +78,34 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("--trust", action="store_true", help="run the builders that a manifest from elsewhere names")
         return sub
 
-    def scope(sub: argparse.ArgumentParser) -> None:
+    def scoped(name: str, function: _Function, text: str) -> argparse.ArgumentParser:
+        sub = command(name, function, text)
         sub.add_argument("--profile", default="demo", help="profile of the manifest (default: demo)")
-
-    def work(sub: argparse.ArgumentParser) -> None:
-        sub.add_argument(
-            "--cluster",
-            default="",
-            metavar="WHERE",
-            help="local, slurm, pbs, lsf, sge, or a scheduler's address (default: local with several CUDA devices, else none)",
-        )
-        sub.add_argument(
-            "--check-images", action="store_true", help="read every image, also those not written since the last time"
-        )
-
-    def notebooks(sub: argparse.ArgumentParser) -> None:
-        scope(sub)
-        sub.add_argument(
-            "--only", nargs="+", default=[], metavar="NOTEBOOK", help="run only these, for example: tab03 fig05"
-        )
-        sub.add_argument(
-            "-p",
-            "--parameter",
-            action="append",
-            default=[],
-            metavar="[NOTEBOOK.]NAME=VALUE",
-            help="set a notebook parameter, for one notebook or for all that have it; VALUE is YAML",
-        )
-        sub.add_argument(
-            "--set", default="", metavar="TEXT", help="several such parameters, with spaces between, as make SET='…'"
-        )
-        sub.add_argument("--jobs", type=int, help="notebooks that run at once (default: one more than there are cores)")
-        sub.add_argument("--force", action="store_true", help="run notebooks again even where nothing changed")
-        work(sub)
+        return sub
 
     text = "make datasets and descriptors ready, run the notebooks, build the book"
-    notebooks(command("reproduce", partial(_run, book=True), text))
-    notebooks(command("run", _run, "as reproduce, without building the book"))
+    _run_options(scoped("reproduce", partial(_run, book=True), text))
+    _run_options(scoped("run", _run, "as reproduce, without building the book"))
     command("book", _book, "build the book from the executed notebooks, running none")
-    sub = command("data", _data, "make the datasets and weights of a profile ready and say which are missing")
-    scope(sub)
-    _add_options(sub)
-    sub = command("extract", _extract, "extract the descriptors of a profile")
-    scope(sub)
-    sub.add_argument(
-        "--devices",
-        "--device",
-        metavar="DEVICES",
-        help="for example cpu, cuda:1, cuda:0,cuda:1 or all (default: one CUDA device if there is any)",
-    )
-    sub.add_argument(
-        "--precision",
-        choices=("float32", "bfloat16", "float16"),
-        default="float32",
-        help="mixed precision gives other descriptors, stored beside the former (default: float32)",
-    )
-    work(sub)
-    sub.add_argument("--dry-run", action="store_true", help="extract nothing; say what it takes on this machine")
-    sub.add_argument(
-        "--ship",
-        metavar="DATASET",
-        help="for maintainers: store this dataset's descriptors in the package, or of a rendered one VLAD's vocabulary",
-    )
-    sub = command("evaluate", _evaluate, "print R@K, DAR@K and RSR@K of datasets and methods")
-    scope(sub)
-    _evaluate_options(sub)
+    text = "make the datasets and weights of a profile ready and say which are missing"
+    _data_options(scoped("data", _data, text))
+    _extract_options(scoped("extract", _extract, "extract the descriptors of a profile"))
+    _evaluate_options(scoped("evaluate", _evaluate, "print R@K, DAR@K and RSR@K of datasets and methods"))
     _suppress_commands(command)
     _results_commands(command)
-    sub = command("verify", _verify, "check stored results against their records and measurements against the paper")
-    scope(sub)
-    sub.add_argument(
-        "--repair", action="store_true", help="delete what is damaged and all that was made from it, and make it again"
-    )
-    sub.add_argument(
-        "--recompute",
-        metavar="'DATASET x METHOD'",
-        help="compute this anew from images, and compare with what is stored",
-    )
+    text = "check stored results against their records and measurements against the paper"
+    sub = scoped("verify", _verify, text)
+    text = "delete what is damaged and all that was made from it, and make it again"
+    sub.add_argument("--repair", action="store_true", help=text)
+    text = "compute this anew from images, and compare with what is stored"
+    sub.add_argument("--recompute", metavar="'DATASET x METHOD'", help=text)
     text = "time the ranking pass against a bare matrix product, and extraction against the model"
-    command("bench", _bench, text).add_argument(
-        "--methods", nargs="*", metavar="METHOD", help="time these methods instead (default: the paper's), for Table II"
-    )
-    sub = command("plan", _plan, "say what a whole run takes on this machine: time, memory and disk of every step")
-    scope(sub)
-    _plan_options(sub)
-    scope(command("status", _status, "show the state of data, descriptors and the last run"))
+    sub = command("bench", _bench, text)
+    text = "time these methods instead (default: the paper's), for Table II"
+    sub.add_argument("--methods", nargs="*", metavar="METHOD", help=text)
+    text = "say what a whole run takes on this machine: time, memory and disk of every step"
+    _plan_options(scoped("plan", _plan, text))
+    scoped("status", _status, "show the state of data, descriptors and the last run")
     command("cluster-example", _cluster_example, "write cluster.yaml, options of queueing systems to fill in")
     return parser
 
@@ -173,19 +116,46 @@ def _action(commands: Any, name: str, function: _Function, text: str) -> argpars
     return sub
 
 
-def _plan_options(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument(
-        "--csv", type=Path, metavar="FILE", help="write the plan as a table instead, for the page Full run"
+def _run_options(sub: argparse.ArgumentParser) -> None:
+    text = "run only these, for example: tab03 fig05"
+    sub.add_argument("--only", nargs="+", default=[], metavar="NOTEBOOK", help=text)
+    name, text = (
+        "[NOTEBOOK.]NAME=VALUE",
+        "set a notebook parameter, for one notebook or for all that have it; VALUE is YAML",
     )
+    sub.add_argument("-p", "--parameter", action="append", default=[], metavar=name, help=text)
+    text = "several such parameters, with spaces between, as make SET='…'"
+    sub.add_argument("--set", default="", metavar="TEXT", help=text)
+    sub.add_argument("--jobs", type=int, help="notebooks that run at once (default: one more than there are cores)")
+    sub.add_argument("--force", action="store_true", help="run notebooks again even where nothing changed")
+    _work_options(sub)
+
+
+def _work_options(sub: argparse.ArgumentParser) -> None:
+    text = "local, slurm, pbs, lsf, sge, or a scheduler's address (default: local with several CUDA devices, else none)"
+    sub.add_argument("--cluster", default="", metavar="WHERE", help=text)
+    text = "read every image, also those not written since the last time"
+    sub.add_argument("--check-images", action="store_true", help=text)
+
+
+def _extract_options(sub: argparse.ArgumentParser) -> None:
+    text = "for example cpu, cuda:1, cuda:0,cuda:1 or all (default: one CUDA device if there is any)"
+    sub.add_argument("--devices", "--device", metavar="DEVICES", help=text)
+    text = "mixed precision gives other descriptors, stored beside the former (default: float32)"
+    sub.add_argument("--precision", choices=("float32", "bfloat16", "float16"), default="float32", help=text)
+    _work_options(sub)
+    sub.add_argument("--dry-run", action="store_true", help="extract nothing; say what it takes on this machine")
+    text = "for maintainers: store this dataset's descriptors in the package, or of a rendered one VLAD's vocabulary"
+    sub.add_argument("--ship", metavar="DATASET", help=text)
+
+
+def _plan_options(sub: argparse.ArgumentParser) -> None:
+    text = "write the plan as a table instead, for the page Full run"
+    sub.add_argument("--csv", type=Path, metavar="FILE", help=text)
     sub.add_argument("--devices", "--device", metavar="DEVICES", help="devices of extraction, as for extract")
     sub.add_argument("--jobs", action="store_true", help="list the jobs instead, with time, memory and what they need")
-    sub.add_argument(
-        "--workers",
-        nargs="*",
-        type=_positive,
-        metavar="N",
-        help="foretell the schedule on so many workers instead (default: 1 8 64 512)",
-    )
+    text = "foretell the schedule on so many workers instead (default: 1 8 64 512)"
+    sub.add_argument("--workers", nargs="*", type=_positive, metavar="N", help=text)
     sub.add_argument("--gpus", type=_positive, default=0, metavar="N", help="of the workers, how many have a GPU")
 
 
@@ -217,7 +187,7 @@ def _evaluate_options(sub: argparse.ArgumentParser) -> None:
     group.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 
-def _add_options(sub: argparse.ArgumentParser) -> None:
+def _data_options(sub: argparse.ArgumentParser) -> None:
     """Options of ``data`` for published datasets, of ``data status`` and ``data add``."""
     sub.add_argument(
         "--dataset", nargs="+", default=[], metavar="NAME", help="obtain and prepare these from published files"
