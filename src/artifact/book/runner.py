@@ -189,11 +189,11 @@ def with_what_is_here(manifest: Manifest, tasks: Sequence[Task]) -> list[Task]:
     return [possible(task) if task.companion else task for task in tasks]
 
 
-def prepare(manifest: Manifest, tasks: Sequence[Task], *, device: str | None = None) -> None:
+def prepare(manifest: Manifest, tasks: Sequence[Task]) -> None:
     """Render or find every dataset and extract every descriptor that the tasks use, with progress bars."""
     for (_, method), traversals in check(manifest, tasks).items():
         for traversal in traversals:
-            extract.descriptors(manifest, traversal, method, device=device, progress=True)
+            extract.descriptors(manifest, traversal, method, progress=True)
 
 
 def check(manifest: Manifest, tasks: Sequence[Task]) -> dict[tuple[str, str], list[datasets.Traversal]]:
@@ -353,9 +353,8 @@ def _run_one(
     except PapermillExecutionError as fault:
         error = f"cell {fault.cell_index + 1}: {fault.ename}: {fault.evalue}"
     except DeadKernelError:
-        error = (
-            "its process ended by itself, perhaps for lack of memory; run again, or fewer notebooks at once (--jobs 1)"
-        )
+        again = "run again, or fewer notebooks at once (--jobs 1)"
+        error = f"its process ended by itself, perhaps for lack of memory; {again}"
     except (store.StoreError, OSError, RuntimeError) as fault:  # a disk or a kernel that does not serve
         error = f"{type(fault).__name__}: {fault}"
     return Outcome(task.page, key, False, time.monotonic() - begun, f"notebooks/{task.path.name}: {error}")
@@ -410,7 +409,6 @@ def _sockets(folder: str) -> Config:
 
 
 def _keys(manifest: Manifest, tasks: Sequence[Task]) -> dict[str, str]:
-    """Return the key of each task's executed notebook."""
     shared = _shared_inputs(manifest)
     fingerprints = {name: _fingerprint(manifest, name) for name in datasets_of(tasks)}
     return {task.page: _key(manifest, task, shared, fingerprints) for task in tasks}
@@ -436,9 +434,8 @@ def _shared_inputs(manifest: Manifest) -> dict[str, Any]:
     """What every notebook depends on: the library, the manifest's text and the versions that run it."""
     package = Path(__file__).resolve().parents[1]
     files = sorted(p for p in package.rglob("*") if p.is_file() and p.suffix in _SOURCES)
-    sources = dict(zip((str(p.relative_to(package)) for p in files), store.digest_of_files(files), strict=True))
     return {
-        "sources": sources,
+        "sources": {str(path.relative_to(package)): store.digest_of_file(path) for path in files},
         "manifest": store.digest_of_file(manifest.path),
         "timings": timing.stored_times(manifest),
         "weights": {name: weights.state(name, entry).summary for name, entry in manifest.methods.items()},
@@ -448,11 +445,8 @@ def _shared_inputs(manifest: Manifest) -> dict[str, Any]:
 
 def _fingerprint(manifest: Manifest, dataset: str) -> list[Any]:
     """Content of a dataset as a notebook sees it: images, positions, and whether images and descriptors are at hand."""
-    return [
-        [one.name, one.digest, one.positions, one.has_images, one.preparation, _recorded_only(manifest, one)]
-        for one in load_all(manifest, dataset)
-    ]
-
-
-def _recorded_only(manifest: Manifest, traversal: datasets.Traversal) -> list[str]:
-    return [method for method in traversal.descriptors if not extract.is_at_hand(manifest, traversal, method)]
+    found = []
+    for one in load_all(manifest, dataset):
+        recorded = [method for method in one.descriptors if not extract.is_at_hand(manifest, one, method)]
+        found.append([one.name, one.digest, one.positions, one.has_images, one.preparation, recorded])
+    return found

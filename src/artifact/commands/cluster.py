@@ -94,9 +94,8 @@ def lines(where: str, manifest: Manifest, tasks: Sequence[Task], *, precision: s
             ended = run(client, manifest, graph)
             logs = client.get_worker_logs()
         except (OSError, TimeoutError, concurrent.futures.CancelledError, asyncio.CancelledError) as error:
-            raise ClusterError(
-                f"cluster {where}: the scheduler is gone ({type(error).__name__}); what is finished stays, run again to go on"
-            ) from None
+            gone = f"the scheduler is gone ({type(error).__name__}); what is finished stays, run again to go on"
+            raise ClusterError(f"cluster {where}: {gone}") from None
     kept = record(manifest, where, ended, logs)
     require_success(ended, kept)
     yield f"cluster {where}: {len(graph)} jobs done in {time.monotonic() - begun:.0f} s; record: {kept}"

@@ -88,10 +88,8 @@ def run_lines(manifest: Manifest, profile: str, *, device: str | None = None) ->
     on_device = {"extraction"} if devices[0].type != "cpu" else set()
     for pair, step, what, needed, there in costs.that_do_not_fit(pairs, memory, free):
         if what == "disk" or step.name not in on_device:
-            yield (
-                f"will not fit: {pair.method} × {pair.dataset} × {step.name}: {in_words(needed)} of {what} needed, "
-                f"{in_words(there)} there"
-            )
+            short = f"{in_words(needed)} of {what} needed, {in_words(there)} there"
+            yield f"will not fit: {pair.method} × {pair.dataset} × {step.name}: {short}"
 
 
 def run_frame(manifest: Manifest, profile: str, *, device: str | None = None) -> pd.DataFrame:
@@ -195,8 +193,10 @@ def table(found: Sequence[ExtractionCost]) -> list[str]:
         memory = in_words(cost.memory) if cost.memory else "–"
         rows.append((cost.method, cost.dataset, *counts, in_words(cost.disk), memory, "; ".join(cost.notes)))
     counts = f"{sum(cost.images for cost in found):,}", f"{sum(cost.batches for cost in found):,}"
+    known = [cost.seconds for cost in found if cost.seconds is not None]
+    total = ("" if len(known) == len(found) else "over ") + duration(sum(known))
     room = in_words(sum(cost.disk for cost in found)), in_words(max((cost.memory or 0 for cost in found), default=0))
-    rows.append(("total", "", *counts, _total([cost.seconds for cost in found]), *room, ""))
+    rows.append(("total", "", *counts, total, *room, ""))
     return _aligned(rows)
 
 
@@ -220,13 +220,12 @@ def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
     """Texts to the left, numbers to the right."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     left = {column for column, name in enumerate(rows[0]) if name in ("method", "dataset", "notes")}
-    return [
-        "  ".join(
-            text.ljust(width) if column in left else text.rjust(width)
-            for column, (text, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+    lines = []
+    for row in rows:
+        cells = enumerate(zip(row, widths, strict=True))
+        shown = [text.ljust(width) if column in left else text.rjust(width) for column, (text, width) in cells]
+        lines.append("  ".join(shown).rstrip())
+    return lines
 
 
 def _hours(seconds: Sequence[float | None]) -> str:
@@ -236,23 +235,14 @@ def _hours(seconds: Sequence[float | None]) -> str:
     return f"{'' if len(known) == len(seconds) else 'over '}{sum(known) / 3600:,.2f}"
 
 
-def _total(seconds: Sequence[float | None]) -> str:
-    known = [one for one in seconds if one is not None]
-    return ("" if len(known) == len(seconds) else "over ") + duration(sum(known))
-
-
 def _footnotes(manifest: Manifest, found: Sequence[ExtractionCost], devices: Sequence[torch.device]) -> Iterator[str]:
     where = ", ".join(map(str, devices))
     yield f"time of extraction: on {where}, from a short trial of each model; trained weights do not change it"
     if any("not there yet" in cost.notes for cost in found):
-        yield (
-            f"not there yet: the number of images is the paper's, or that of the descriptors that ship; images are "
-            f"taken to be {timing.PHOTOGRAPH[0]} × {timing.PHOTOGRAPH[1]} pixels"
-        )
-    unknown = dict.fromkeys(note for cost in found for note in cost.notes if note.startswith("number of images"))
-    yield from unknown
-    readers = [cost.reader_memory for cost in found if cost.reader_memory]
-    if readers:
+        size = f"images are taken to be {timing.PHOTOGRAPH[0]} × {timing.PHOTOGRAPH[1]} pixels"
+        yield f"not there yet: the number of images is the paper's, or that of the descriptors that ship; {size}"
+    yield from dict.fromkeys(note for cost in found for note in cost.notes if note.startswith("number of images"))
+    if readers := [cost.reader_memory for cost in found if cost.reader_memory]:
         n = len(devices) * reading.default_workers(len(devices))
         yield f"memory: of the model's process for a batch; reading takes {n} × {in_words(max(readers))} besides"
 

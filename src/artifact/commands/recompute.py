@@ -83,15 +83,12 @@ def _pair(manifest: Manifest, profile: str, asked: str) -> tuple[str, str]:
     names = [part.strip() for part in re.split(r"\s+[x×]\s+|×", asked.strip())]
     entry = manifest.profile(profile)
     if len(names) != 2 or names[0] not in entry.datasets or names[1] not in entry.methods:
-        raise ManifestError(
-            f"{asked!r} is not 'DATASET x METHOD' of profile {profile!r}: its datasets are {', '.join(entry.datasets)}, its "
-            f"methods {', '.join(entry.methods)}"
-        )
+        known = f"its datasets are {', '.join(entry.datasets)}, its methods {', '.join(entry.methods)}"
+        raise ManifestError(f"{asked!r} is not 'DATASET x METHOD' of profile {profile!r}: {known}")
     return names[0], names[1]
 
 
 def _digests(manifest: Manifest, dataset: str, method: str) -> dict[str, str]:
-    """Digests of the descriptors of each traversal."""
     loaded = runner.load_all(manifest, dataset)
     return {one.name: extract.descriptors(manifest, one, method).sha256 for one in loaded}
 

@@ -50,9 +50,8 @@ def verify(manifest: Manifest, profile: str) -> tuple[list[str], int]:
         lines += [f"DAMAGED {one.reason}" for one in damaged]
         faults += len(damaged)
     if faults:
-        lines.append(
-            "make verify REPAIR=1 (or the option --repair) makes what is damaged anew, and all that was made from it"
-        )
+        anew = "makes what is damaged anew, and all that was made from it"
+        lines.append(f"make verify REPAIR=1 (or the option --repair) {anew}")
     changed = changed_files(manifest, manifest.profile(profile).datasets)
     weighed, heavier = _verify_weights(manifest, profile)
     compared, different = _against_the_paper(manifest, profile)
@@ -70,8 +69,7 @@ def _pages(manifest: Manifest) -> list[Path]:
 def look_at(folder: Path) -> tuple[int, list[Damaged]]:
     """Read everything below a folder that has a record or a checksum; return how many results, and the damaged ones."""
     results, damaged = 0, []
-    for place in sorted(folder.rglob("*.json")):
-        found = [place.parent] if place == store.record_path(place.parent) else _beside(place)
+    for place, found in _records([folder]):
         results += len(found)
         for path in found:
             try:
@@ -86,9 +84,12 @@ def look_at(folder: Path) -> tuple[int, list[Damaged]]:
     return results, damaged
 
 
-def _beside(place: Path) -> list[Path]:
-    """Files that a record is of."""
-    return [path for ending in _ENDINGS if (path := place.with_suffix(ending)).exists()]
+def _records(folders: Iterable[Path]) -> Iterator[tuple[Path, list[Path]]]:
+    """Yield every JSON file below some folders, with the folder or the files that it is the record of, if any."""
+    for folder in folders:
+        for place in sorted(folder.rglob("*.json")):
+            beside = [path for ending in _ENDINGS if (path := place.with_suffix(ending)).exists()]
+            yield place, [place.parent] if place == store.record_path(place.parent) else beside
 
 
 def _record(place: Path) -> dict[str, Any]:
@@ -126,9 +127,9 @@ def repair(manifest: Manifest, profile: str, run: Callable[[], object]) -> Itera
     damaged = [one for folder in folders for one in look_at(folder)[1]]
     yield from changed_files(manifest, manifest.profile(profile).datasets)
     before = {one.path: one.record.get("sha256") for one in damaged}
-    derived = [path for path in _recorded(folders) if any(_is_made_from(path, one, manifest.cache) for one in damaged)]
-    for path in derived:
-        before.setdefault(path, _record(store.record_path(path)).get("sha256"))
+    for path in [path for _, found in _records(folders) for path in found]:
+        if any(_is_made_from(path, one, manifest.cache) for one in damaged):
+            before.setdefault(path, _record(store.record_path(path)).get("sha256"))
     for path in before:
         yield f"DELETED   {path}"
         store.remove(path)
@@ -136,12 +137,6 @@ def repair(manifest: Manifest, profile: str, run: Callable[[], object]) -> Itera
     for path, known in before.items():
         now = _record(store.record_path(path)).get("sha256") if path.exists() else None
         yield f"{'NOT NEEDED' if now is None else 'AS BEFORE ' if now == known else 'CHANGED   '} {path}"
-
-
-def _recorded(folders: Iterable[Path]) -> Iterator[Path]:
-    for folder in folders:
-        for place in sorted(folder.rglob("*.json")):
-            yield from _beside(place)
 
 
 def _stage(path: Path, cache: Path) -> int:
@@ -194,10 +189,9 @@ def _against_the_paper(manifest: Manifest, profile: str) -> tuple[list[str], int
             ready.append(name)
     found = verdicts.of_profile(manifest, ready, methods)
     for row in found.to_dict("records"):
-        lines.append(
-            f"{row['verdict'].upper():<11} {row['where']} · {row['dataset']} · {row['method']} · {row['quantity']}: "
-            f"{row['measured']:.2f}, paper {row['reported']} ({row['why']})"
-        )
+        what = " · ".join(str(row[column]) for column in ("where", "dataset", "method", "quantity"))
+        numbers = f"{row['measured']:.2f}, paper {row['reported']} ({row['why']})"
+        lines.append(f"{row['verdict'].upper():<11} {what}: {numbers}")
     counts = verdicts.tally([found])
     lines.append(", ".join(f"{number} {verdict}" for verdict, number in counts.items()))
     return lines, counts["differs"]

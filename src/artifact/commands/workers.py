@@ -92,11 +92,9 @@ def connected(where: str, folder: Path, memory: float = 0.0) -> Iterator[Client]
     import dask
     from distributed import Client
 
-    known = ("local", *QUEUES)
-    if where not in known and "://" not in where:
-        raise ClusterError(
-            f"CLUSTER={where}: allowed are {', '.join(known)}, and the address of a scheduler as tcp://host:8786"
-        )
+    if where not in ("local", *QUEUES) and "://" not in where:
+        known = ", ".join(("local", *QUEUES))
+        raise ClusterError(f"CLUSTER={where}: allowed are {known}, and the address of a scheduler as tcp://host:8786")
     with contextlib.ExitStack() as stack:
         stack.enter_context(dask.config.set(_CONFIG))
         try:
