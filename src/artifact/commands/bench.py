@@ -49,10 +49,8 @@ def growth_lines(sizes: list[int], dimension: int) -> Iterator[str]:
     """Time rankings of growing size."""
     for row in growth(sizes, dimension).itertuples():
         rate = 1e9 * row.seconds / row.pairs
-        yield (
-            f"ranking {row.images} + {row.images} images, d = {dimension}: {row.seconds:.1f} s, {rate:.0f} ns a pair, "
-            f"{row.mebibytes:.0f} MiB beyond the inputs"
-        )
+        found = f"{row.seconds:.1f} s, {rate:.0f} ns a pair, {row.mebibytes:.0f} MiB beyond the inputs"
+        yield f"ranking {row.images} + {row.images} images, d = {dimension}: {found}"
 
 
 def extraction_lines(manifest: Manifest, method: str, n_batches: int, device: str | None = None) -> Iterator[str]:

@@ -13,7 +13,7 @@ import pandas as pd
 
 from artifact import store
 from artifact.datasets import DatasetError
-from artifact.datasets.arrays import Descriptors, read_descriptors, read_positions, read_threshold
+from artifact.datasets.arrays import read_descriptors, read_positions, read_threshold
 from artifact.metrics.evaluate import evaluate
 from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.statistics import intervals
@@ -49,9 +49,8 @@ def run(options: argparse.Namespace) -> Iterator[str]:
     threshold = read_threshold(options.threshold)
     _check(f"--database {options.database}", database, queries)
     if (threshold.unit == "metres") != (queries.unit == "metres"):
-        raise DatasetError(
-            f"the threshold is in {threshold.unit}, the positions are in {queries.unit}; write 25m or 2frames"
-        )
+        units = f"the threshold is in {threshold.unit}, the positions are in {queries.unit}"
+        raise DatasetError(f"{units}; write 25m or 2frames")
     pools = dict(_pool(text, queries) for text in options.distractors)
     levels = options.k or LEVELS
     facts = {"threshold": str(threshold), **preview.counts(queries.positions, database.positions, threshold.value)}
@@ -74,7 +73,7 @@ def run(options: argparse.Namespace) -> Iterator[str]:
 
 
 def _images(file: Path, positions: Path | None, label: str) -> Images:
-    found: Descriptors = read_descriptors(file)
+    found = read_descriptors(file)
     return Images(found.values, *read_positions(positions, found, label))
 
 
@@ -92,14 +91,11 @@ def _check(label: str, found: Images, queries: Images) -> None:
     """Positions of a file must be of the queries' kind."""
     kinds = [f"{images.unit} ({images.positions.shape[1]} columns)" for images in (found, queries)]
     if kinds[0] != kinds[1]:
-        raise DatasetError(
-            f"{label}: positions in {kinds[0]}, those of the queries in {kinds[1]}; both must be the same"
-        )
+        fault = f"positions in {kinds[0]}, those of the queries in {kinds[1]}; both must be the same"
+        raise DatasetError(f"{label}: {fault}")
     if found.zone and queries.zone and found.zone != queries.zone:
-        raise DatasetError(
-            f"{label}: positions in the UTM zone {found.zone}, those of the queries in {queries.zone}; give them as "
-            f"image,latitude,longitude in .csv files"
-        )
+        fault = f"positions in the UTM zone {found.zone}, those of the queries in {queries.zone}"
+        raise DatasetError(f"{label}: {fault}; give them as image,latitude,longitude in .csv files")
 
 
 def _evaluated(
@@ -111,10 +107,8 @@ def _evaluated(
     region = split(queries.positions, database.positions, threshold, options.fraction)
     parts = [queries.descriptors[region.fit_queries], database.descriptors[region.fit_database]]
     if min(map(len, parts)) < 2:
-        raise DatasetError(
-            f"the fitting region has {len(parts[0])} queries and {len(parts[1])} database images; 2 of each are needed: "
-            f"raise --fraction"
-        )
+        has = f"the fitting region has {len(parts[0])} queries and {len(parts[1])} database images"
+        raise DatasetError(f"{has}; 2 of each are needed: raise --fraction")
     X, condition = np.concatenate(parts).astype(np.float32), np.repeat([QUERY, DATABASE], [len(part) for part in parts])
     fits = fitted.fit(X, condition, options.suppress, seed=options.seed)
     queries = _part(queries, region.evaluation_queries)

@@ -129,9 +129,8 @@ def _check_code(manifest: Manifest, bundle: Bundle, source: Path) -> None:
     odd_datasets, odd_methods = {*bundle.datasets} ^ {*profile.datasets}, {*bundle.weights} ^ {*profile.methods}
     for what, odd in (("datasets", odd_datasets), ("methods", odd_methods)):
         if odd:
-            raise store.StoreError(
-                f"{source}: profile {bundle.profile} has other {what} here: {', '.join(sorted(odd))}"
-            )
+            listed = ", ".join(sorted(odd))
+            raise store.StoreError(f"{source}: profile {bundle.profile} has other {what} here: {listed}")
 
 
 def _check_sizes(manifest: Manifest, bundle: Bundle, listed: Mapping[str, zipfile.ZipInfo], source: Path) -> None:
@@ -146,9 +145,8 @@ def _check_sizes(manifest: Manifest, bundle: Bundle, listed: Mapping[str, zipfil
             raise store.StoreError(f"{source}: {name} has no record")
     total, room = sum(file.size for file in bundle.files.values()), free_bytes(manifest.cache)
     if total > min(_LARGEST, room):
-        raise store.StoreError(
-            f"{source}: takes {in_words(total)}; allowed are {in_words(_LARGEST)}, and {in_words(room)} are free"
-        )
+        allowed = f"allowed are {in_words(_LARGEST)}, and {in_words(room)} are free"
+        raise store.StoreError(f"{source}: takes {in_words(total)}; {allowed}")
 
 
 def _unpack(archive: zipfile.ZipFile, info: zipfile.ZipInfo, target: Path, expected: File) -> None:
@@ -211,8 +209,7 @@ def _check_traversals(manifest: Manifest, bundle: Bundle, folder: Path) -> None:
     for name in (name for name in bundle.files if name.startswith("traversals/")):
         record: TraversalRecord = read_record(folder / name, TraversalRecord)
         _, dataset, file = name.split("/")
-        fault = _fault(manifest, bundle, dataset, file.removesuffix(".json"), record)
-        if fault:
+        if fault := _fault(manifest, bundle, dataset, file.removesuffix(".json"), record):
             raise store.StoreError(f"{name}: {fault}")
 
 
@@ -240,9 +237,9 @@ def _fault(manifest: Manifest, bundle: Bundle, dataset: str, name: str, record: 
 
 
 def _digest_of_given(record: TraversalRecord) -> str:
-    given = [{m: one.sha256 for m, one in record.descriptors.items()}]
-    given.append({m: one.second for m, one in record.descriptors.items() if one.second})
-    return store.key(names=record.image_names, given=given)
+    descriptors = {method: one.sha256 for method, one in record.descriptors.items()}
+    second = {method: one.second for method, one in record.descriptors.items() if one.second}
+    return store.key(names=record.image_names, given=[descriptors, second])
 
 
 def _expected_keys(

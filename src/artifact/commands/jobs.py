@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
+from itertools import product
 from typing import Any, NamedTuple
 
 from artifact import datasets, methods, studies
@@ -120,15 +121,13 @@ def graph(manifest: Manifest, tasks: Sequence[Task], *, precision: str = "float3
     for (name, method), here in loaded.items():
         traversals[name] = {traversal.name: len(traversal) for traversal in here}
         for traversal in here:
-            extractions = [
-                _part(job.method, name, traversal.name, job.number, job)
-                for job in jobs_of(manifest, traversal, method, precision)
-            ]
-            if extractions:
+            works = jobs_of(manifest, traversal, method, precision)
+            parts = [_part(work.method, name, traversal.name, work.number, work) for work in works]
+            if parts:
                 whole = _whole(name, traversal.name, method)
-                found |= {job.name: job for job in extractions}
-                needs = tuple(job.name for job in extractions)
-                found[whole] = Job(whole, needs, partial(_assemble, name, traversal.name, method, precision))
+                assemble = partial(_assemble, name, traversal.name, method, precision)
+                found |= {job.name: job for job in parts}
+                found[whole] = Job(whole, tuple(job.name for job in parts), assemble)
     found |= _study_jobs(manifest, tasks, traversals, found)
     return with_costs(list(found.values()), [_sizes_of(manifest, *pair) for pair in loaded.items()])
 
@@ -199,14 +198,10 @@ def _study_jobs(
                     kind, where = page.study.__name__, "all" if page.scope == "all" else names[0]
                     parts = _ranked_again(manifest, page, where, method, traversals, task.parameters, needs)
                     found |= {job.name: job for job in parts}
-                    found[f"{kind} {method} {where}"] = Job(
-                        f"{kind} {method} {where}",
-                        (*needs, *(job.name for job in parts)),
-                        partial(_study, page.study, names, method, task.parameters),
-                        on_device=bool(page.again) and manifest.method(method).local_features is not None and not parts,
-                        kind=kind,
-                        pair=(method, where),
-                    )
+                    on_device = bool(page.again) and manifest.method(method).local_features is not None and not parts
+                    name, needs = f"{kind} {method} {where}", (*needs, *(job.name for job in parts))
+                    work = partial(_study, page.study, names, method, task.parameters)
+                    found[name] = Job(name, needs, work, on_device, kind, (method, where))
     return found
 
 
@@ -225,18 +220,12 @@ def _ranked_again(
     number = len(parts_of(entry, queries))
     if entry.local_features is None or number < 2:
         return []
-    return [
-        Job(
-            f"rank again {method} {dataset} {what} {part}",
-            needs,
-            partial(_rank_again, what, part, dataset, method, parameters),
-            on_device=True,
-            kind="rank again",
-            pair=(method, dataset),
-        )
-        for what in page.again
-        for part in range(number)
-    ]
+    found = []
+    for what, part in product(page.again, range(number)):
+        work = partial(_rank_again, what, part, dataset, method, parameters)
+        name = f"rank again {method} {dataset} {what} {part}"
+        found.append(Job(name, needs, work, on_device=True, kind="rank again", pair=(method, dataset)))
+    return found
 
 
 def _rank_again(
@@ -281,7 +270,6 @@ def with_costs(jobs: Sequence[Job], costs: Sequence[PairCost]) -> list[Job]:
         alike = [steps[*job.pair, name] for name in (page.like if page else ()) if (*job.pair, name) in steps]
         known = [step.seconds for step in mine if step.seconds is not None]
         seconds = sum(known) / number.get((job.kind, job.pair), 1) if known else job.seconds
-        found.append(
-            replace(job, seconds=seconds, memory=max((step.memory for step in [*mine, *alike]), default=job.memory))
-        )
+        memory = max((step.memory for step in [*mine, *alike]), default=job.memory)
+        found.append(replace(job, seconds=seconds, memory=memory))
     return found

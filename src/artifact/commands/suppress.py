@@ -42,9 +42,8 @@ def apply(options: argparse.Namespace) -> Iterator[str]:
         If a file cannot be read or written, widths differ, or STD is applied without the condition.
     """
     if options.out.suffix != ".npy":
-        raise DatasetError(
-            f"{options.out}: the ending is {options.out.suffix!r}; descriptors are written to .npy files"
-        )
+        fault = f"the ending is {options.out.suffix!r}; descriptors are written to .npy files"
+        raise DatasetError(f"{options.out}: {fault}")
     found = read_descriptors(options.descriptors).values
     try:
         transform = load_transform(options.transform)
