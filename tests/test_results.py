@@ -17,7 +17,7 @@ import pytest
 from conftest import DRIVE, artifact, copy_book, tiny_manifest, write_drive, write_manifest
 
 from artifact import datasets, manifest, store
-from artifact.commands import importing, results
+from artifact.commands import results
 from artifact.datasets import imported
 from artifact.extraction import extract
 
@@ -377,7 +377,7 @@ def test_a_hostile_bundle_is_refused_in_one_line_and_leaves_nothing(origin, empt
     change(forged)
     path = forged.write(empty.path.parent / "forged.zip")
     with pytest.raises((store.StoreError, ValueError)) as caught:
-        list(importing.read(empty, path))
+        list(results.read(empty, path))
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     left = sorted(p.relative_to(empty.path.parent).as_posix() for p in empty.path.parent.rglob("*"))
@@ -391,7 +391,7 @@ def test_two_files_of_one_name_are_refused(origin, empty):
     name = forged.first("rankings/")
     forged.infos.append((zipfile.ZipInfo(name), forged.files[name]))
     with pytest.raises(store.StoreError, match="holds two files of one name"):
-        list(importing.read(empty, forged.write(empty.path.parent / "forged.zip")))
+        list(results.read(empty, forged.write(empty.path.parent / "forged.zip")))
 
 
 @pytest.mark.parametrize(
@@ -403,7 +403,7 @@ def test_what_is_no_bundle_is_told(empty, content, message):
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(store.StoreError, match=f"x.zip: {message}"):
-        list(importing.read(empty, path))
+        list(results.read(empty, path))
 
 
 def test_a_bundle_that_is_cut_off_anywhere_is_refused(origin, empty):
@@ -412,7 +412,7 @@ def test_a_bundle_that_is_cut_off_anywhere_is_refused(origin, empty):
     for size in np.linspace(0, len(whole) - 1, 12).astype(int):
         path.write_bytes(whole[:size])
         with pytest.raises(store.StoreError):
-            list(importing.read(empty, path))
+            list(results.read(empty, path))
 
 
 def test_results_that_are_there_already_stay(origin, empty):
@@ -422,9 +422,9 @@ def test_results_that_are_there_already_stay(origin, empty):
     ours = empty.cache / name
     store.save_arrays(ours, {"array:x": np.arange(3)}, {"key": "mine"})
     before = ours.read_bytes()
-    lines = list(importing.read(empty, path))
+    lines = list(results.read(empty, path))
     assert ours.read_bytes() == before
     n = len(list((empty.cache / "rankings").glob("*.npz"))) + len(list((empty.cache / "appearance").glob("*.npz")))
     assert lines[-1].startswith(f"imported: {n - 1} results are new")
-    assert list(importing.read(empty, path))[-1].startswith("imported: 0 results are new")
+    assert list(results.read(empty, path))[-1].startswith("imported: 0 results are new")
     assert [bundle.profile for bundle in imported.bundles(empty)] == ["demo"]

@@ -262,9 +262,9 @@ def _results_export(options: argparse.Namespace) -> None:
 
 
 def _results_import(options: argparse.Namespace) -> None:
-    from artifact.commands import importing
+    from artifact.commands import results
 
-    _print(importing.read(_manifest(options), options.file))
+    _print(results.read(_manifest(options), options.file))
 
 
 def _suppress_fit(options: argparse.Namespace) -> None:
