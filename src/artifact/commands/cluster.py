@@ -58,14 +58,9 @@ class Ended(NamedTuple):
 
 @dataclass(frozen=True)
 class Place:
-    """What a worker must know of the run.
+    """What a worker must know of the run: the manifest, and the environment variables that say where results and data are.
 
-    Attributes
-    ----------
-    manifest, variables
-        The manifest, and the environment variables that say where results and data are.
-    torch_threads, blas_threads
-        Threads of a product here: their number decides the last digits.
+    The threads are those of a product here: their number decides the last digits.
     """
 
     manifest: Manifest

@@ -36,18 +36,10 @@ _CANDIDATES_OF_BOTH = 2  # database and augmented database give a query at most 
 
 @dataclass(frozen=True)
 class Step:
-    """What one step takes for one method and dataset.
+    """What one of :data:`STEPS` takes for one method and dataset.
 
-    Attributes
-    ----------
-    name
-        One of :data:`STEPS`.
-    seconds
-        ``None`` if it is unknown.
-    memory
-        Peak bytes of the process, without descriptors that are mapped from disk.
-    disk
-        Bytes that it leaves on disk.
+    ``seconds`` are ``None`` if they are unknown; ``memory`` is the peak in bytes of the process, without descriptors that are
+    mapped from disk, and ``disk`` the bytes that it leaves there.
     """
 
     name: str
@@ -77,20 +69,11 @@ class PairCost:
 
 @dataclass(frozen=True)
 class Pair:
-    """Sizes of one method on one dataset.
+    """Sizes of one method on one dataset: numbers of ``queries`` and ``database`` images, ``dimension`` of their descriptors.
 
-    Attributes
-    ----------
-    queries, database, dimension
-        Numbers of images, and the width of their descriptors.
-    pools
-        Images of each further distractor pool (Fig. 7).
-    mixed
-        Whether the maps mix a database (Figs. 2 and 9).
-    further_pairs
-        Query–database pairs that no transform is fitted on (Table V).
-    embedded
-        Whether Fig. 3 shows this pair.
+    ``pools`` is the number of further distractor pools (Fig. 7), ``further_pairs`` that of query–database pairs that no
+    transform is fitted on (Table V); ``mixed`` says whether the maps mix a database (Figs. 2 and 9), ``embedded`` whether
+    Fig. 3 shows this pair.
     """
 
     queries: int

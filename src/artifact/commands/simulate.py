@@ -12,18 +12,10 @@ from artifact.commands.jobs import Job
 
 
 class Schedule(NamedTuple):
-    """How a graph runs on workers.
+    """How a graph runs on workers: ``seconds`` from the first start to the last end, of which they are ``busy`` a share.
 
-    Attributes
-    ----------
-    seconds
-        From the first start to the last end.
-    busy
-        Share of the workers' time in which they work.
-    critical
-        Names and seconds of the longest chain of jobs of which each needs the one before.
-    critical_seconds
-        What those take together: no number of workers is faster.
+    ``critical`` has names and seconds of the longest chain of jobs of which each needs the one before, and
+    ``critical_seconds`` is what those take together: no number of workers is faster.
     """
 
     seconds: float
