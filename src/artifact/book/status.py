@@ -99,12 +99,14 @@ def _data_rows(manifest: Manifest, tasks: Sequence[Task]) -> list[list[Any]]:
     for name in datasets_of(tasks):
         kind = manifest.dataset(name).kind
         for traversal in load_all(manifest, name):
-            recorded = any(given.path is None for given in traversal.descriptors.values())
-            without_images = "given descriptors" if traversal.descriptors else "shipped descriptors"
-            without_images = "results bundle" if recorded else without_images
-            photographs = "prepared images" if traversal.preparation else "images"
-            with_images = "rendered" if kind == "city" else photographs
-            state = "made descriptors" if kind == "made" else with_images if traversal.has_images else without_images
+            if kind == "made":
+                state = "made descriptors"
+            elif traversal.has_images:
+                state = "rendered" if kind == "city" else "prepared images" if traversal.preparation else "images"
+            elif any(given.path is None for given in traversal.descriptors.values()):
+                state = "results bundle"
+            else:
+                state = "given descriptors" if traversal.descriptors else "shipped descriptors"
             rows.append([plain(name), plain(traversal.name), len(traversal), state, f"`{traversal.digest[:12]}`"])
     return rows
 

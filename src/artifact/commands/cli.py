@@ -53,18 +53,8 @@ def _user_errors() -> tuple[type[Exception], ...]:
     from artifact.methods.weights import WeightsError
     from artifact.store import StoreError
 
-    return (
-        BookError,
-        ClusterError,
-        DatasetError,
-        ExtractionError,
-        ManifestError,
-        ParameterError,
-        NotebookError,
-        StoreError,
-        WeightsError,
-        OSError,
-    )
+    of_inputs = (DatasetError, ManifestError, ParameterError, WeightsError)
+    return (*of_inputs, BookError, ClusterError, ExtractionError, NotebookError, StoreError, OSError)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -189,9 +179,8 @@ def _evaluate_options(sub: argparse.ArgumentParser) -> None:
 
 def _data_options(sub: argparse.ArgumentParser) -> None:
     """Options of ``data`` for published datasets, of ``data status`` and ``data add``."""
-    sub.add_argument(
-        "--dataset", nargs="+", default=[], metavar="NAME", help="obtain and prepare these from published files"
-    )
+    text = "obtain and prepare these from published files"
+    sub.add_argument("--dataset", nargs="+", default=[], metavar="NAME", help=text)
     sub.add_argument("--traversal", nargs="+", default=[], metavar="NAME", help="of the dataset, only these")
     sub.add_argument("--set", default="", metavar="TEXT", help="parameters of the preparation, as make SET='poses=ins'")
     actions = sub.add_subparsers(metavar="{status,add}", title="what is here, and own images")
@@ -200,12 +189,10 @@ def _data_options(sub: argparse.ArgumentParser) -> None:
     add = _action(actions, "add", _add, "describe folders of images as a dataset, after a look at them")
     add.add_argument("name", metavar="NAME", help="folder that will hold dataset.yaml and preview.html")
     add.add_argument("--query", required=True, metavar="[NAME=]DIR", help="images of the query traversal")
-    add.add_argument(
-        "--database", required=True, metavar="[NAME=]DIR", help="images of the same places, other condition"
-    )
-    add.add_argument(
-        "--traversal", action="append", default=[], metavar="NAME=DIR", help="a further pool of distractors"
-    )
+    text = "images of the same places, other condition"
+    add.add_argument("--database", required=True, metavar="[NAME=]DIR", help=text)
+    text = "a further pool of distractors"
+    add.add_argument("--traversal", action="append", default=[], metavar="NAME=DIR", help=text)
     where = add.add_mutually_exclusive_group()
     where.add_argument("--positions", nargs="+", metavar="CSV", help="one file for all traversals, or one for each")
     where.add_argument("--names", action="store_true", help="positions are in the names: @utm_east@utm_north@….jpg")
@@ -480,12 +467,12 @@ def _extract(options: argparse.Namespace) -> None:
     from artifact.methods import weights
 
     manifest = _manifest(options)
-    profile = manifest.profile(options.profile)
+    profile, how = manifest.profile(options.profile), {"device": options.devices, "precision": options.precision}
     if options.ship:
         _print(ship.ship(manifest, options.ship, profile.methods))
         return
     if options.dry_run:
-        _print(plan.lines(manifest, options.profile, device=options.devices, precision=options.precision))
+        _print(plan.lines(manifest, options.profile, **how))
         return
     described = runner.Task(Path("extract"), {}, tuple(profile.datasets), tuple(profile.methods))
     data.require(manifest, [described])
@@ -498,9 +485,7 @@ def _extract(options: argparse.Namespace) -> None:
         _on_cluster(options, manifest, [described], options.precision)
     for traversal in traversals:
         for method in profile.methods:
-            found = extract.descriptors(
-                manifest, traversal, method, device=options.devices, precision=options.precision, progress=True
-            )
+            found = extract.descriptors(manifest, traversal, method, progress=True, **how)
             label = f"{method} · {traversal.dataset}/{traversal.name}"
             sys.stdout.write(f"{label}: {found.values.shape} from {found.source}\n")
 
@@ -515,13 +500,12 @@ def _evaluate(options: argparse.Namespace) -> None:
 
     manifest = _manifest(options)
     profile = manifest.profile(options.profile)
-    for name in options.datasets or []:
+    names = options.datasets or profile.datasets
+    for name in names:
         if name not in manifest.datasets:
             _print([f"{name}:", *preview.look_at(manifest, name).lines(), ""])
     for k in options.k or [1]:
-        study = recall.recall_table(
-            manifest, options.datasets or profile.datasets, options.methods or profile.methods, k=k
-        )
+        study = recall.recall_table(manifest, names, options.methods or profile.methods, k=k)
         shown = study.table[["title", "method", "R", "DAR", "RSR", "queries", "origin"]]
         heading = f"K = {k}\n" if len(options.k) > 1 else ""
         sys.stdout.write(heading + shown.to_string(index=False, float_format=lambda value: f"{value:.2f}") + "\n")

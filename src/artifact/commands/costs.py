@@ -131,14 +131,7 @@ def pair_cost(pair: Pair, entry: MethodEntry, extraction: ExtractionCost, rates:
 def pass_seconds(pair: Pair, rates: Mapping[str, float], views: int = 0, columns: int = 0) -> float:
     """Return the seconds of one ranking pass; distractors are the queries, half of whose pairs symmetry leaves.
 
-    Parameters
-    ----------
-    pair
-        What is ranked.
-    rates
-        As from :func:`artifact.commands.probes.rates`.
-    views, columns
-        Number of low-rank views, and of the directions that they project on together.
+    ``views`` are low-rank views, which project on so many ``columns`` together.
     """
     pairs = pair.queries * pair.database + pair.queries**2 / 2
     projected = pair.images * columns * pair.dimension * rates["product"]
@@ -222,7 +215,7 @@ def _leace(at: Pair, rates: Mapping[str, float]) -> tuple[float, float]:
 def that_do_not_fit(
     costs: Sequence[PairCost], memory: float, disk: float
 ) -> Iterator[tuple[PairCost, Step, str, float, float]]:
-    """Yield pairs and steps for which memory or disk does not suffice, with ``"memory"`` or ``"disk"``, the bytes needed and those there.
+    """Yield pairs and steps for which memory or disk does not suffice, with ``"memory"`` or ``"disk"``, bytes needed and there.
 
     Disk is filled in the order of the costs; what does not fit is passed over.
     """

@@ -56,15 +56,7 @@ def lines(manifest: Manifest, profile: str, *, device: str | None = None, precis
 def run_lines(manifest: Manifest, profile: str, *, device: str | None = None) -> Iterator[str]:
     """Yield the lines of the plan of a whole run: extraction, ranking, suppression, probes and embedding.
 
-    Parameters
-    ----------
-    manifest, profile, device
-        As for :func:`lines`.
-
-    Raises
-    ------
-    ExtractionError
-        If a device is not on this machine.
+    Parameters and errors are those of :func:`lines`.
     """
     devices = forward.devices(device)
     extractions, found, pairs = _measured(manifest, profile, devices)
