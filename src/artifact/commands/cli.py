@@ -275,13 +275,14 @@ def _add(options: argparse.Namespace) -> None:
 def _manifest(options: argparse.Namespace, *, make: bool = True) -> Any:
     """Load the manifest as the profile sees it; ``make`` writes made descriptors that are missing."""
     from artifact import manifest
-    from artifact.extraction import made
 
     loaded = manifest.load(options.manifest)
     if not options.trust:
         manifest.refuse_code_from_elsewhere(loaded)
     if "profile" not in options:
         return loaded
+    from artifact.extraction import made
+
     loaded = loaded.for_profile(options.profile)
     if make:
         made.make(loaded, options.profile)

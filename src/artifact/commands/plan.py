@@ -32,12 +32,7 @@ _SHOWN_NEEDS = 6  # of a job, in a line
 def lines(manifest: Manifest, profile: str, *, device: str | None = None, precision: str = "float32") -> Iterator[str]:
     """Yield the lines of the dry run of one profile: a table with a row for each method and dataset, and totals.
 
-    Parameters
-    ----------
-    manifest, profile
-        What would be extracted.
-    device, precision
-        As for :func:`artifact.extraction.extract.descriptors`.
+    ``device`` and ``precision`` are as for :func:`artifact.extraction.extract.descriptors`.
 
     Raises
     ------

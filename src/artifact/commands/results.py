@@ -42,9 +42,8 @@ _CONTENTS, _TIMINGS = "bundle.json", "timings.json"
 _BLOCK = 2**20  # bytes that are copied at a time
 _STAMP = (1980, 1, 1, 0, 0, 0)  # of every file: equal results give equal bundles
 _NAME = r"[A-Za-z0-9][A-Za-z0-9_.,+-]{0,99}"
-_ALLOWED = re.compile(
-    rf"(rankings|appearance)/[0-9a-f]{{24}}\.(npz|json)|traversals/{_NAME}/{_NAME}\.json|timings\.json"
-)
+_RESULT = r"(rankings|appearance)/[0-9a-f]{24}\.(npz|json)"
+_ALLOWED = re.compile(rf"{_RESULT}|traversals/{_NAME}/{_NAME}\.json|timings\.json")
 _MOST_FILES = 50_000
 _LARGEST_RECORD, _LARGEST_RESULT, _LARGEST = 64 * 2**20, 2 * 2**30, 32 * 2**30  # bytes, unpacked
 
@@ -234,9 +233,6 @@ def read(manifest: Manifest, source: Path) -> Iterator[str]:
             times: _Times = read_record(aside / _TIMINGS, _Times)
             if not (manifest.cache / _TIMINGS).exists():
                 store.write_json(manifest.cache / _TIMINGS, times.model_dump()["times"])
-            (aside / _TIMINGS).unlink()
-        for name in ("rankings", "appearance"):
-            shutil.rmtree(aside / name, ignore_errors=True)
         target = imported.folder_of(manifest, bundle.profile)
         if target.exists():
             target.replace(aside / ".before")
