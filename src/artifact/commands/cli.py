@@ -347,21 +347,21 @@ def _run(options: argparse.Namespace, *, book: bool = False) -> None:
     data.require(manifest, tasks)
     if options.check_images:
         _print(verify.changed_files(manifest, runner.datasets_of(tasks)))
-    with stages.measured() as spent:
-        with spent.of("preparation"):
+    with stages.measured() as reported:
+        with store.stage("preparation"):
             _on_cluster(options, manifest, tasks)
             runner.prepare(manifest, tasks)
         with build.alone(manifest):
             executed = build.executed_folder(manifest)
-            with spent.of("notebooks"):
+            with store.stage("notebooks"):
                 outcomes = runner.run(manifest, tasks, executed, jobs=options.jobs, force=options.force)
-            status.record_run(manifest, options.profile, tasks, outcomes, spent.lines())
+            status.record_run(manifest, options.profile, tasks, outcomes, stages.lines(reported))
             ran = [outcome for outcome in outcomes if not outcome.cached]
             sys.stdout.write(f"notebooks: {len(ran)} run, {len(outcomes) - len(ran)} unchanged\n")
             if book:
-                with spent.of("book"):
+                with store.stage("book"):
                     _build(manifest)
-        _print(spent.lines())
+        _print(stages.lines(reported))
 
 
 def _on_cluster(options: argparse.Namespace, manifest: Any, tasks: Any, precision: str = "float32") -> None:
