@@ -206,7 +206,7 @@ def check(manifest: Manifest, tasks: Sequence[Task]) -> dict[tuple[str, str], li
     StoreError
         If the disk has no room for the local features and codes that are missing.
     """
-    pairs = dict.fromkeys((dataset, method) for task in tasks for dataset in task.datasets for method in task.methods)
+    pairs = pairs_of(tasks)
     loaded = {name: load_all(manifest, name) for name in datasets_of(tasks)}
     extracted = {m for d, m in pairs for t in loaded[d] if t.has_images and not extract.is_ready(manifest, t, m)}
     weights.require({method: manifest.method(method) for method in sorted(extracted)})
@@ -217,6 +217,11 @@ def check(manifest: Manifest, tasks: Sequence[Task]) -> dict[tuple[str, str], li
 def datasets_of(tasks: Sequence[Task]) -> list[str]:
     """Return the datasets that tasks use, each once."""
     return list(dict.fromkeys(name for task in tasks for name in task.datasets))
+
+
+def pairs_of(tasks: Sequence[Task]) -> list[tuple[str, str]]:
+    """Return the datasets and methods that tasks use together, each pair once."""
+    return list(dict.fromkeys((name, method) for task in tasks for name in task.datasets for method in task.methods))
 
 
 def load_all(manifest: Manifest, dataset: str) -> list[datasets.Traversal]:

@@ -11,7 +11,7 @@ from typing import Any
 
 from artifact import datasets, pages, store
 from artifact.book.build import executed_folder, source_folder
-from artifact.book.runner import Outcome, Task, datasets_of, load_all
+from artifact.book.runner import Outcome, Task, datasets_of, load_all, pairs_of
 from artifact.datasets import imported
 from artifact.extraction import extract
 from artifact.manifest import Manifest
@@ -38,32 +38,25 @@ def record_run(
         "Python": platform.python_version(),
         **{name: version(name) for name in (*_COMPUTING, *_PUBLISHING)},
     }
-    lines = [
+    when, reused = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", sum(one.cached for one in outcomes)
+    spent = ["What this run took before the book was built:", "\n".join(["```text", *stages, "```"])] if stages else []
+    paragraphs = [
         "# Status of this build",
-        "",
-        f"Profile **{profile}**, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC, {pages.provenance.code_revision()}.",
-        f"{sum(o.cached for o in outcomes)} of {len(outcomes)} notebooks were reused because nothing they depend on changed.",
-        *(["", "What this run took before the book was built:", "", "```text", *stages, "```"] if stages else []),
-        "",
+        f"Profile **{profile}**, {when}, {pages.provenance.code_revision()}.\n"
+        f"{reused} of {len(outcomes)} notebooks were reused because nothing they depend on changed.",
+        *spent,
         "## Notebooks",
-        "",
         _markdown_table(["Notebook", "Seconds", "This run", "Datasets", "Methods", "Key"], notebooks),
-        "",
         "Seconds are those of the run that made the page, also where it is reused.",
-        "",
         "## Data",
-        "",
         _markdown_table(["Dataset", "Traversal", "Images", "State", "Content"], _data_rows(manifest, tasks)),
-        "",
         "## Machine and versions",
-        "",
         _markdown_table(["What", "Value"], list(machine.items())),
-        "",
     ]
     _write_notice(manifest, profile, tasks)
     page = executed_folder(manifest) / "status.md"
     with store.replacing(page) as temporary:
-        temporary.write_text("\n".join(lines), encoding="utf-8")
+        temporary.write_text("\n\n".join(paragraphs) + "\n", encoding="utf-8")
     store.seal(page, {"profile": profile})
 
 
@@ -85,13 +78,8 @@ def _write_notice(manifest: Manifest, profile: str, tasks: Sequence[Task]) -> No
 def _bundles(manifest: Manifest, tasks: Sequence[Task]) -> list[str]:
     """Dates of the imported bundles that descriptors of these pages are recorded in, where their values are not here."""
     loaded = {name: load_all(manifest, name) for name in datasets_of(tasks)}
-    recorded = {
-        name
-        for task in tasks
-        for name in task.datasets
-        if any(not extract.is_at_hand(manifest, t, method) for t in loaded[name] for method in task.methods)
-    }
-    return [bundle.date for bundle in imported.bundles(manifest) if recorded & {*bundle.datasets}]
+    absent = {d for d, m in pairs_of(tasks) if not all(extract.is_at_hand(manifest, t, m) for t in loaded[d])}
+    return [bundle.date for bundle in imported.bundles(manifest) if absent & {*bundle.datasets}]
 
 
 def _data_rows(manifest: Manifest, tasks: Sequence[Task]) -> list[list[Any]]:

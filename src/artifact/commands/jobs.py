@@ -149,7 +149,7 @@ def planned(
 
     ``images`` are the numbers of images of the traversals of each dataset, as far as they are known.
     """
-    pairs = dict.fromkeys((name, method) for task in tasks for name in task.datasets for method in task.methods)
+    pairs = runner.pairs_of(tasks)
     found: dict[str, Job] = {}
     for name, method in pairs:
         first = next(other for other in methods.of_trunk(manifest, method) if (name, other) in pairs)

@@ -105,8 +105,7 @@ def export(manifest: Manifest, profile: str, target: Path) -> Iterator[str]:
     """
     tasks = runner.plan(manifest, profile)
     results = runner.results_read(manifest, tasks)
-    pairs = dict.fromkeys((name, method) for task in tasks for name in task.datasets for method in task.methods)
-    names = runner.datasets_of(tasks)
+    pairs, names = runner.pairs_of(tasks), runner.datasets_of(tasks)
     traversals = {name: runner.load_all(manifest, name) for name in names}
     measured = [
         path.relative_to(manifest.cache).as_posix()
