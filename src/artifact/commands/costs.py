@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from artifact.commands.probes import INLP_ITERATIONS
 from artifact.extraction import local_features
-from artifact.extraction.costs import ExtractionCost, KnownTraversal
+from artifact.extraction.costs import ExtractionCost
 from artifact.manifest import Manifest
 from artifact.manifest.entries import MethodEntry
 from artifact.studies.verdicts import FRACTIONS
@@ -100,13 +100,12 @@ class Pair:
 
 
 def sizes(
-    manifest: Manifest, method: str, dataset: str, known: Sequence[KnownTraversal], *, embedded: bool = False
+    manifest: Manifest, method: str, dataset: str, images: Mapping[str, int | None], *, embedded: bool = False
 ) -> Pair:
-    """Return the sizes of a pair; of a traversal whose size is unknown, that of the query traversal."""
-    entry, images = manifest.dataset(dataset), {one.name: one.images for one in known}
-    queries = images.get(entry.query) or 0
+    """Return the sizes of a pair from the ``images`` of each traversal; unknown numbers count as none."""
+    entry = manifest.dataset(dataset)
     return Pair(
-        queries,
+        images.get(entry.query) or 0,
         images.get(entry.database) or 0,
         manifest.method(method).dimension,
         pools=len(entry.distractor_traversals),

@@ -23,7 +23,7 @@ from artifact.book.runner import Task
 from artifact.commands.costs import PairCost, pair_cost, sizes
 from artifact.datasets import Traversal
 from artifact.extraction import extract
-from artifact.extraction.costs import ExtractionCost, KnownTraversal
+from artifact.extraction.costs import ExtractionCost
 from artifact.extraction.jobs import ExtractionJob, jobs_of
 from artifact.extraction.stored import images_of_a_part
 from artifact.manifest import Manifest
@@ -135,11 +135,11 @@ def graph(manifest: Manifest, tasks: Sequence[Task], *, precision: str = "float3
 def _sizes_of(manifest: Manifest, pair: tuple[str, str], traversals: Sequence[Traversal]) -> PairCost:
     """What the steps of a pair need of memory, which follows from their sizes; their time is unknown."""
     name, method = pair
-    entry, known = manifest.method(method), [KnownTraversal(one.name, len(one), "here") for one in traversals]
+    entry, images = manifest.method(method), {one.name: len(one) for one in traversals}
     part = 4.0 * images_of_a_part(entry) * entry.dimension
     weights = sum(file.size or 1e6 * (file.megabytes or 0) for file in (entry.weights.files if entry.weights else ()))
-    extraction = ExtractionCost(method, name, sum(map(len, traversals)), 0, None, 0, _MODEL + 2 * weights + part)
-    return pair_cost(sizes(manifest, method, name, known), entry, extraction, {})
+    extraction = ExtractionCost(method, name, sum(images.values()), 0, None, 0, _MODEL + 2 * weights + part)
+    return pair_cost(sizes(manifest, method, name, images), entry, extraction, {})
 
 
 def planned(

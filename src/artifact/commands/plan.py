@@ -54,20 +54,13 @@ def run_lines(manifest: Manifest, profile: str, *, device: str | None = None) ->
     Parameters and errors are those of :func:`lines`.
     """
     devices = forward.devices(device)
-    extractions, found, pairs = _measured(manifest, profile, devices)
+    extractions, images, pairs = _measured(manifest, profile, devices)
     yield from run_table(pairs)
     yield from _footnotes(manifest, extractions, devices)
-    yield (
-        "ranking and later: short probes on made descriptors, scaled by size, right to a factor of about three; memory is "
-        "without descriptors mapped from disk"
-    )
-    unknown = [
-        f"{name}/{traversal}"
-        for name, known in found.items()
-        for traversal in manifest.dataset(name).traversals
-        if traversal not in {one.name for one in known}
-    ]
-    if unknown:
+    accuracy = "short probes on made descriptors, scaled by size, right to a factor of about three"
+    yield f"ranking and later: {accuracy}; memory is without descriptors mapped from disk"
+    every = [(name, traversal) for name in images for traversal in manifest.dataset(name).traversals]
+    if unknown := [f"{name}/{traversal}" for name, traversal in every if traversal not in images[name]]:
         yield f"not counted in extraction, since nobody knows their number of images yet: {', '.join(unknown)}"
     free, memory = free_bytes(manifest.cache), timing.available_memory()
     yield f"disk: {in_words(sum(p.disk for p in pairs))} needed, {in_words(free)} free in {manifest.cache}"
@@ -103,9 +96,9 @@ def planned_jobs(manifest: Manifest, profile: str, *, device: str | None = None)
 
     Traversals whose number of images nobody knows yet are left out.
     """
-    _, found, pairs = _measured(manifest, profile, forward.devices(device)[:1])  # each job runs on one
-    images = {name: {one.name: one.images for one in known if one.images} for name, known in found.items()}
-    return jobs.planned(manifest, runner.plan(manifest, profile), images, pairs)
+    _, images, pairs = _measured(manifest, profile, forward.devices(device)[:1])  # each job runs on one
+    known = {name: {traversal: n for traversal, n in numbers.items() if n} for name, numbers in images.items()}
+    return jobs.planned(manifest, runner.plan(manifest, profile), known, pairs)
 
 
 def job_lines(graph: Sequence[Job]) -> Iterator[str]:
@@ -135,10 +128,11 @@ def schedule_lines(graph: Sequence[Job], workers: Sequence[int], gpus: int) -> I
 
 def _measured(
     manifest: Manifest, profile: str, devices: Sequence[torch.device]
-) -> tuple[list[ExtractionCost], dict[str, list[KnownTraversal]], list[PairCost]]:
-    """What extractions take, what is known of traversals, and what all steps of each pair take, by short probes."""
+) -> tuple[list[ExtractionCost], dict[str, dict[str, int | None]], list[PairCost]]:
+    """What extractions take, the images of each known traversal, and what all steps of each pair take, by short probes."""
     trials = Trials(manifest.cache / "probes.json")
     extractions, found = _extractions(manifest, profile, trials, devices, "float32")
+    images = {name: {one.name: one.images for one in known} for name, known in found.items()}
     entry = manifest.profile(profile)
     methods = {name: manifest.method(name) for name in entry.methods}
     layouts = [local_features.layout_of(method) for method in methods.values()]
@@ -150,9 +144,9 @@ def _measured(
     pairs = []
     for cost in extractions:
         embedded = ([cost.method], [cost.dataset]) == shown
-        pair = costs.sizes(manifest, cost.method, cost.dataset, found[cost.dataset], embedded=embedded)
+        pair = costs.sizes(manifest, cost.method, cost.dataset, images[cost.dataset], embedded=embedded)
         pairs.append(costs.pair_cost(pair, methods[cost.method], cost, rates))
-    return extractions, found, pairs
+    return extractions, images, pairs
 
 
 def _extractions(
