@@ -55,11 +55,9 @@ def run(manifest: Manifest, options: argparse.Namespace) -> Iterator[str]:
     if options.dry_run:
         yield "nothing was written (--dry-run)"
         return
-    with store.replacing(target) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    page = _page(preview)
-    with store.replacing(folder / PREVIEW) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    for name, content in ((DESCRIPTION, text), (PREVIEW, _page(preview))):
+        with store.replacing(folder / name) as temporary:
+            temporary.write_text(content, encoding="utf-8")
     here = Path.cwd()
     shown = folder.relative_to(here) if folder.is_relative_to(here) else folder
     yield f"{shown}/{DESCRIPTION} and {shown}/{PREVIEW} written; next:"

@@ -37,22 +37,12 @@ Work = Callable[[Manifest], object]
 
 @dataclass(frozen=True)
 class Job:
-    """One piece of work.
+    """One piece of work, with a ``name`` of its own in its graph, for example ``extract anyloc robotcar/day 3``.
 
-    Attributes
-    ----------
-    name
-        Unique in its graph, for example ``extract anyloc robotcar/day 3``.
-    needs
-        Names of the jobs whose outputs it reads.
-    work
-        What it does, given the manifest; an :class:`ExtractionJob` runs on the worker's own device.
-    on_device
-        Whether it wants a GPU.
-    seconds, memory
-        What it is expected to take, in seconds and bytes; ``None`` if nobody knows.
-    kind, pair
-        ``"extract"`` or the name of a study, with its method and dataset, for what it is expected to take.
+    ``needs`` are the names of the jobs whose outputs it reads. ``work`` is what it does, given the manifest; an
+    :class:`ExtractionJob` runs on the worker's own device, and ``on_device`` says whether a GPU is wanted. ``kind`` is
+    ``"extract"`` or the name of a study, with its method and dataset in ``pair``, for what it is expected to take: ``seconds``
+    and bytes of ``memory``, or ``None`` if nobody knows.
     """
 
     name: str
