@@ -58,10 +58,8 @@ def _folder_faults(folder: Path, advice: str) -> Iterator[str]:
 def main() -> int:
     """Print what is wrong, or that nothing is; return 1 if anything is."""
     found = list(faults())
-    for line in found:
+    for line in found or [f"nothing is wrong: Python {sys.version.split()[0]}, {_ROOT}"]:
         sys.stdout.write(f"{line}\n")
-    if not found:
-        sys.stdout.write(f"nothing is wrong: Python {sys.version.split()[0]}, {_ROOT}\n")
     return 1 if found else 0
 
 

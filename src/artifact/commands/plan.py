@@ -183,17 +183,17 @@ def table(found: Sequence[ExtractionCost]) -> list[str]:
 
 def run_table(pairs: Sequence[PairCost]) -> list[str]:
     """Return hours of each step, peak memory and disk of method–dataset pairs as lines of equal columns, with totals."""
+
+    def hours(of: Sequence[PairCost]) -> list[str]:
+        steps = [step for pair in of for step in pair.steps]
+        alike = [[step for step in steps if step.name == name] for name in STEPS]
+        return [_hours([step.seconds for step in some]) for some in (*alike, steps)]
+
     rows = [("method", "dataset", *(f"{step} h" for step in STEPS), "total h", "memory", "disk")]
     for pair in pairs:
-        seconds = {step.name: step.seconds for step in pair.steps}
-        hours = [_hours([seconds[name]]) if name in seconds else "–" for name in STEPS]
-        total = _hours(list(seconds.values()))
-        rows.append((pair.method, pair.dataset, *hours, total, in_words(pair.memory), in_words(pair.disk)))
-    every = {name: [s.seconds for pair in pairs for s in pair.steps if s.name == name] for name in STEPS}
-    totals = [_hours(seconds) for seconds in every.values()]
-    memory = max((pair.memory for pair in pairs), default=0.0)
-    room = in_words(memory), in_words(sum(pair.disk for pair in pairs))
-    rows.append(("total", "", *totals, _hours([one for seconds in every.values() for one in seconds]), *room))
+        rows.append((pair.method, pair.dataset, *hours([pair]), in_words(pair.memory), in_words(pair.disk)))
+    memory, disk = max((pair.memory for pair in pairs), default=0.0), sum(pair.disk for pair in pairs)
+    rows.append(("total", "", *hours(pairs), in_words(memory), in_words(disk)))
     return _aligned(rows)
 
 
