@@ -107,12 +107,9 @@ def export(manifest: Manifest, profile: str, target: Path) -> Iterator[str]:
     results = runner.results_read(manifest, tasks)
     pairs, names = runner.pairs_of(tasks), runner.datasets_of(tasks)
     traversals = {name: runner.load_all(manifest, name) for name in names}
-    measured = [
-        path.relative_to(manifest.cache).as_posix()
-        for loaded in traversals.values()
-        for traversal in loaded
-        if (path := appearance.stored_path(manifest.cache, appearance.appearance_key(traversal))).exists()
-    ]
+    keys = [appearance.appearance_key(traversal) for loaded in traversals.values() for traversal in loaded]
+    paths = [appearance.stored_path(manifest.cache, key) for key in keys]
+    measured = [path.relative_to(manifest.cache).as_posix() for path in paths if path.exists()]
     arrays = {name: manifest.cache / name for name in dict.fromkeys([*results, *measured])}
     sizes = [path.stat().st_size for path in arrays.values() if path.exists()]
     about = f"{len(arrays)} results of {len(tasks)} pages, at most {in_words(sum(sizes))}"
@@ -143,14 +140,14 @@ def export(manifest: Manifest, profile: str, target: Path) -> Iterator[str]:
         weights={method: methods.weights.digests(entry) if entry else [] for method, entry in weighed.items()},
         files=dict(sorted(files.items())),
     )
+    written[_CONTENTS] = _as_bytes(bundle)
     with _told(target), store.replacing(target) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name in (_CONTENTS, *bundle.files):
             info = zipfile.ZipInfo(name, _STAMP)
             info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, (stat.S_IFREG | 0o644) << 16
-            data = _as_bytes(bundle) if name == _CONTENTS else written.get(name)
             with archive.open(info, "w") as stream:
-                if data is not None:
-                    stream.write(data)
+                if name in written:
+                    stream.write(written[name])
                 else:
                     with arrays[name].open("rb") as source:
                         shutil.copyfileobj(source, stream, _BLOCK)
