@@ -165,6 +165,15 @@ def test_code_that_is_trusted_is_run(others, capsys):
     assert others.with_name("ran").exists()
 
 
+def test_a_repair_runs_what_verify_was_told_to_trust(others, monkeypatch):
+    asked, main = [], cli.main
+    monkeypatch.setattr(cli, "main", lambda arguments: asked.append(arguments) or 0)
+    monkeypatch.setattr("artifact.commands.verify.repair", lambda manifest, profile, run: [str(run())])
+    for trust in ([], ["--trust"]):
+        main(["verify", "--repair", "--manifest", str(others), *trust])
+    assert asked == [["reproduce", "--profile", "demo", "--trust", "--manifest", str(others)]]
+
+
 def test_manifests_of_the_project_and_those_without_code_need_no_trust(others, monkeypatch, capsys):
     named = {"copy.yaml": others.read_text(), "sub/data_manifest.yaml": others.read_text()}
     monkeypatch.chdir(others.parent)

@@ -525,7 +525,8 @@ def _verify(options: argparse.Namespace) -> int:
             faults += differs
         return 1 if faults else 0
     if options.repair:
-        same = ["--profile", options.profile, *(["--manifest", str(options.manifest)] if options.manifest else [])]
+        same = ["--profile", options.profile, *(["--trust"] if options.trust else [])]
+        same += ["--manifest", str(options.manifest)] if options.manifest else []
         _print(verify.repair(manifest, options.profile, lambda: failed.append(main(["reproduce", *same]))))
     lines, faults = verify.verify(manifest, options.profile)
     _print(lines)
