@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import chain
-
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
@@ -28,13 +26,12 @@ def positives_of(
     >>> starts.tolist(), positives.tolist()
     ([0, 2, 2], [0, 1])
     """
-    near = cKDTree(database_positions).query_ball_point(query_positions, threshold * (1 + 1e-9), return_sorted=True)
-    lengths = np.fromiter(map(len, near), np.int64, len(near))
-    indices = np.fromiter(chain.from_iterable(near), np.int64, int(lengths.sum()))
-    owners = np.repeat(np.arange(len(near)), lengths)
+    trees = cKDTree(query_positions), cKDTree(database_positions)
+    near = trees[0].sparse_distance_matrix(trees[1], threshold * (1 + 1e-9), output_type="ndarray")
+    owners, indices = (near[side][np.lexsort((near["j"], near["i"]))].astype(np.int64) for side in ("i", "j"))
     # The tree compares squared distances with a little slack; the definition decides.
     inside = np.linalg.norm(query_positions[owners] - database_positions[indices], axis=1) <= threshold
-    counts = np.bincount(owners[inside], minlength=len(near))
+    counts = np.bincount(owners[inside], minlength=len(query_positions))
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), indices[inside]
 
 

@@ -55,12 +55,11 @@ def top_lists(n: int, k: int, sets: list[Listed]) -> tuple[np.ndarray, np.ndarra
     floor = seen - 2 * np.max([one.margin() for one in sets], axis=0)
     for which, one in enumerate(sets):
         i, j = one.candidates(floor)
-        classes, first, inverse = np.unique(
-            np.stack([i, one.looks.identities(j)]), axis=1, return_index=True, return_inverse=True
-        )
+        identity = one.looks.identities(j)
+        pair = i * (identity.max(initial=0) + 1) + identity
+        _, first, inverse = np.unique(pair, return_index=True, return_inverse=True)
         level, doubt = one.looks.levels(i[first], j[first])
-        columns = level[inverse], doubt[inverse], classes[1][inverse], j + one.shift, np.full(len(i), which)
-        parts.append((i, *columns))
+        parts.append((i, level[inverse], doubt[inverse], identity, j + one.shift, np.full(len(i), which)))
     query, level, doubt, identity, index, number = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.lexsort((index, -level, query))
     _resorted(order, query, level, doubt, identity, index, number, sets)

@@ -33,6 +33,7 @@ REVISION = 4  # raise when any count changes: it is part of the key of stored ra
 _TILE_SIDE = 1024
 _LARGEST_ROWS = 2048
 _PENDING = 2**20  # pairs that wait for their second look
+_OF_A_VIEW = 0.1  # what second looks in a further view cost, in those of the first: most inner products are the same
 
 
 @dataclass(frozen=True)
@@ -201,7 +202,8 @@ class _Pass:
                 plain = views_of(database, {ORIGINAL: None})[ORIGINAL]
                 looks = self._looks(plain, self._dots(database), ORIGINAL)
                 sample.append(lenses.Sample(self.rows, database, self.positives, self.options.similarity, looks))
-            return sample[0].unsure(product) * sample[0].pair_seconds * pairs * len(self.transforms)
+            times = 1 + (len(self.transforms) - 1) * _OF_A_VIEW
+            return sample[0].unsure(product) * sample[0].pair_seconds * pairs * times
 
         self.engine.choose(pairs * self.rows.descriptors.shape[1], look_seconds)
 

@@ -379,7 +379,8 @@ class Best:
         sure = np.repeat(np.maximum.reduceat(level - doubt, start), np.diff(np.r_[start, len(i)]))
         kept = np.flatnonzero(~(level + doubt < sure))
         # The first of equal rows stands for all of them.
-        kept = np.sort(kept[np.unique(np.stack([i[kept], looks.identities(j[kept])]), axis=1, return_index=True)[1]])
+        identity = looks.identities(j[kept])
+        kept = np.sort(kept[np.unique(i[kept] * (identity.max(initial=0) + 1) + identity, return_index=True)[1]])
         queries, first, count = np.unique(i[kept], return_index=True, return_counts=True)
         chosen = kept[first]
         for place in np.flatnonzero(count > 1):
