@@ -26,7 +26,7 @@ from artifact.ranking.similarity import Best, Looks, Rows, Similarity, View
 _UNIT = 2.0**-24
 _NEGLIGIBLE = 1e-6  # of a projection
 _LONGEST = 2.0**60  # lengths whose products stay finite
-_SAMPLED = 256
+_SAMPLED = 128
 
 
 def lens(
