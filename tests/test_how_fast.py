@@ -1,5 +1,7 @@
 """What the page on speed measures is what it says; no test looks at the seconds themselves."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -43,7 +45,14 @@ def test_the_bench_prints_a_line_for_each_work():
     lines = list(bench.ranking_lines("made descriptors", how_fast.synthetic(60, 80, 32), 1))
     assert "symmetry leaves 0.79 of the pairs" in lines[0]
     assert any(line.startswith(f"  {how_fast.COUNTS}: ") and "in float64" in line for line in lines)
-    assert all("MiB beyond the inputs" in line for line in bench.growth_lines([30, 60], 16))
+    *grown, memory = bench.growth_lines([30, 60], 16)
+    assert [line.partition(":")[0] for line in grown] == [f"ranking {n} + {n} images, d = 16" for n in (30, 60)]
+    assert re.fullmatch(r"  the last takes \d+ MiB beyond the descriptors", memory)
+
+
+def test_memory_beyond_the_descriptors_is_that_of_a_tile_and_little_more():
+    tile = 4 * 2048 * 3000
+    assert tile < how_fast.memory_beyond_inputs(3000, 64) < tile + 100 * 2**20
 
 
 def test_real_descriptors_come_again_with_noise_and_are_recognised():

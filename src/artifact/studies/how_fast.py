@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from artifact.datasets import shipped
+from artifact.extraction import timing
 from artifact.metrics.evaluate import evaluate
 from artifact.ranking import products
 from artifact.ranking.one_pass import Work
@@ -115,21 +117,32 @@ def ranking_times(made: Made, *, n_views: int = 0, repeats: int = 3) -> pd.DataF
 
 
 def growth(sizes: list[int], dimension: int) -> pd.DataFrame:
-    """Time evaluations of as many queries as database images: ``pairs``, ``seconds`` and ``mebibytes`` beyond the inputs.
-
-    The memory is the growth of the process's largest size, so the sizes go up.
-    """
-    from artifact.extraction.timing import peak_memory
-
+    """Time evaluations of as many queries as database images: ``images``, ``pairs``, ``seconds``."""
     rows = []
     _compile(dimension)
     for n in sizes:
-        queries, database, *where = synthetic(n, n, dimension)
-        before, start = peak_memory(), time.perf_counter()
-        evaluate(queries, database, *where, _THRESHOLD, device="cpu")
-        seconds, grown = time.perf_counter() - start, (peak_memory() - before) / 2**20
-        rows.append({"images": n, "pairs": 2 * n * n, "seconds": seconds, "mebibytes": grown})
+        made, start = synthetic(n, n, dimension), time.perf_counter()
+        evaluate(*made, _THRESHOLD, device="cpu")
+        rows.append({"images": n, "pairs": 2 * n * n, "seconds": time.perf_counter() - start})
     return pd.DataFrame(rows).assign(dimension=dimension, processor=processor())
+
+
+def memory_beyond_inputs(n: int, dimension: int) -> float:
+    """Return the bytes that an evaluation of ``n`` queries and as many database images takes beyond their descriptors."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "made.npz"
+        np.savez(path, *synthetic(n, n, dimension))
+        return float(timing.in_own_process(_grown, path))
+
+
+def _grown(path: Path) -> float:
+    """Evaluate what a file holds, in a process that has done nothing before; return by how many bytes its peak grew."""
+    _compile(64)
+    with np.load(path) as file:
+        made = [file[name] for name in file.files]
+    before = timing.peak_memory()
+    evaluate(*made, _THRESHOLD, device="cpu")
+    return timing.peak_memory() - before
 
 
 def _unit(rows: np.ndarray) -> np.ndarray:
