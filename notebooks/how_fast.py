@@ -19,9 +19,10 @@
 # block size, number of threads, library or device.
 #
 # What that costs is measured here while the page is made, in one run, against the least that any evaluation by matrix products
-# does: a bare float32 product of all queries with the database and with themselves, whose results are thrown away. When the
-# distractors are the queries, half of their pairs suffice. faiss is shown if it is installed; it finds the top 100 of the
-# augmented database, without positives and without distances. `make bench` measures larger sizes.
+# does: a bare float32 product of all queries with the database and with themselves, whose results are thrown away, by NumPy or
+# PyTorch, whichever is faster. When the distractors are the queries, half of their pairs suffice (dashed line); below it come
+# evaluations whose first look is by a faster product, such as that of oneDNN. faiss is shown if it is installed; it finds the
+# top 100 of the augmented database, without positives and without distances. `make bench` measures larger sizes.
 
 # %% tags=["parameters", "hide-input"]
 profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal

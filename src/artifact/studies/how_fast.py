@@ -72,7 +72,7 @@ def ranking_times(made: Made, *, n_views: int = 0, repeats: int = 3) -> pd.DataF
     Returns
     -------
     pandas.DataFrame
-        A row for each ``work``: ``seconds``, and ``share`` of the bare product: the faster one of NumPy's and PyTorch's.
+        A row for each ``work``: ``seconds``, and ``share`` of the bare product: the faster one of NumPy's and PyTorch's own.
         Evaluations have the ``pairs`` of all views, how many of them had a ``second`` and a ``third`` look, and the
         ``product`` that made the first. All rows have the ``processor`` and the sizes.
     """
@@ -87,13 +87,14 @@ def ranking_times(made: Made, *, n_views: int = 0, repeats: int = 3) -> pd.DataF
     def evaluation(*pool: Any, **options: Any) -> Callable[[], Any]:
         return lambda: evaluate(queries, database, *where, _THRESHOLD, *pool, device="cpu", **options).ranking.work
 
+    tensors = [torch.from_numpy(rows) for rows in (queries, database)]
     works = {
         "bare product, NumPy": lambda: _bare(queries, database, lambda a, b: np.matmul(a, b.T)),
-        "bare product, PyTorch": lambda: _bare(*map(torch.from_numpy, (queries, database)), lambda a, b: a @ b.T),
-        COUNTS: evaluation(),
-        NO_DISTRACTORS: evaluation({}),
-        LISTS: evaluation(retrieve=10),
+        "bare product, PyTorch": lambda: _bare(*tensors, lambda a, b: a @ b.T),
     }
+    if products.OneDnnProduct.available():
+        works |= {"bare product, oneDNN": lambda: _bare(*tensors, products.OneDnnProduct().multiply)}
+    works |= {COUNTS: evaluation(), NO_DISTRACTORS: evaluation({}), LISTS: evaluation(retrieve=10)}
     if views:
         works |= {f"with {n_views} INLP views": evaluation(views=views)}
     if (index := _faiss(queries, database)) is not None:
