@@ -214,7 +214,7 @@ def test_figures_tell_values_and_images_on_hover_and_open_large(browser, pages):
     page.locator("figure.figure .panels > svg").first.click(position={"x": 4, "y": 4})
     assert page.locator("dialog.large svg").is_visible()
     page.keyboard.press("Escape")
-    assert page.locator("dialog.large").count() == 0
+    page.locator("dialog.large").wait_for(state="detached")
     assert errors == []
     page.context.close()
 
