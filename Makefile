@@ -122,9 +122,12 @@ try:
 except BlockingIOError:
     print("another command sets up this folder: waiting for it", flush=True)
     fcntl.flock(lock, fcntl.LOCK_EX)
+except OSError:
+    pass  # a file system without locks
 os.execvp(sys.argv[1], sys.argv[1:])
 endef
 export ONE_AT_A_TIME
+
 $(VENV)/.ready: environment.txt pyproject.toml
 	@test -n "$(PYTHON)" || { echo "error: Python 3.11, 3.12 or 3.13 is needed and not found; name it with PYTHON=/path/to/python" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(None if (3, 11) <= v <= (3, 13) else "error: Python 3.11, 3.12 or 3.13 is needed, $(PYTHON) is %d.%d" % v)'
