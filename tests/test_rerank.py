@@ -1,6 +1,7 @@
 """Two-stage methods against the definition: build the augmented database, sort, cut, score, sort again, look."""
 
 import functools
+import inspect
 import itertools
 import shutil
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from oracle import distance, share, similarity
 from torch import nn
 from torch.nn import functional
 
-from artifact import datasets, manifest, methods, store, studies
+from artifact import INLP, LEACE, datasets, manifest, methods, store, studies
 from artifact.book.runner import Task
 from artifact.commands import jobs, verify
 from artifact.datasets.images import read_image
@@ -832,3 +833,18 @@ def test_the_architectures_offer_what_their_layouts_say(project, name, layout):
         scores = matching.cosines
     result = evaluate_two_stage(images, images, 0.0, scores, candidates=2)
     assert result.recall(1) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("function", "defaults"),
+    [
+        (evaluate, {"similarity": "cosine", "depth": 10, "draws": 10, "retrieve": 0, "view_sweeps": False, "seed": 0}),
+        (evaluate_two_stage, {"candidates": 100, "retrieve": 0, "draws": 10, "seed": 0}),
+        (two_stage.sweep, {"candidates": 100, "draws": 10, "seed": 0}),
+        (INLP, {"n_iterations": 35, "seed": 0}),
+        (LEACE, {"shrinkage": False}),
+    ],
+)
+def test_the_defaults_are_those_of_the_protocol(function, defaults):
+    parameters = inspect.signature(function).parameters
+    assert {name: parameters[name].default for name in defaults} == defaults
