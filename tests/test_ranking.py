@@ -210,6 +210,8 @@ def test_sweeps_end_at_recall_and_dar():
     case = random_case(17)
     result = run(case, retrieve=3)
     assert result.dar_by_ratio([0, 1]).tolist() == [result.recall(), result.dar()]
+    assert result.dar_by_ratio([]).shape == result.dar_by_distance([]).shape == (0,)
+    assert result.chances_by_ratio([]).shape == (result.n_queries, 0)
     assert result.dar_by_distance([case.threshold, np.inf]).tolist() == [result.dar(), result.recall()]
 
 
