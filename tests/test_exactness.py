@@ -319,7 +319,11 @@ def test_a_small_part_of_the_pairs_is_looked_at_again_and_the_best_product_is_ta
     from artifact.ranking import engines
 
     rates = dict.fromkeys(PRODUCTS, 1e-3) | {PRODUCTS[3]: 1e-4}
-    monkeypatch.setattr(engines, "_WORTH", 0)
+    monkeypatch.setattr(products, "measured", lambda: True)
+    assert (
+        evaluate(queries, database, *where, 3.0, device="cpu").ranking.work.product == "NumPy float32"
+    )  # nor a choice
+    monkeypatch.setattr(engines, "_WORTH_A_CHOICE", 0)
     monkeypatch.setattr(products, "seconds", lambda: rates)
     tried = evaluate(queries, database, *where, 3.0, device="cpu")
     assert tried.ranking.work.product == "bfloat16, three products"
@@ -328,6 +332,18 @@ def test_a_small_part_of_the_pairs_is_looked_at_again_and_the_best_product_is_ta
     closest = evaluate(queries, database, *where, 3.0, device="cpu").ranking.work
     assert closest.product == "PyTorch float32"  # as fast, with the closer bound
     assert closest.second_looks < work.second_looks
+
+
+def test_a_similarity_between_two_float32_is_rounded_as_its_exact_value():
+    row = np.array([[1.0, 2.0**-12, 2.0**-30]], np.float32)  # 1 + 2⁻²⁴ + 2⁻⁶⁰: float64 takes it for the middle
+    for other, expected in (
+        (row, 1 + 2.0**-23),
+        (row * np.float32([1, 1, -1]), 1.0),
+        (row * np.float32([1, 1, 0]), 1.0),
+    ):
+        result = evaluate(row, other, [[0.0]], [[0.0]], 1.0, similarity="dot", retrieve=1)
+        assert result.retrieved(1, distractors=False)[1].tolist() == [[expected]]
+        assert result.per_query()["similarity"].tolist() == [expected]
 
 
 def test_inner_products_are_computed_once_and_are_those_of_float64():

@@ -23,6 +23,7 @@ from artifact.ranking.products import NumpyProduct, Product
 _COLUMNS = 2048  # columns of a product at a time: as much is copied or widened
 _DRIVERS = ("libcuda.so.1", "libamdhip64.so", "nvcuda.dll")  # CUDA's, or ROCm's, which PyTorch also calls CUDA
 _WORTH = 2**35  # multiplications of a pass from which on products are tried
+_WORTH_A_CHOICE = 2**33  # the same once they are measured
 
 
 class Engine(Protocol):
@@ -61,7 +62,7 @@ class CpuEngine:
 
     def choose(self, multiplications: int, look_seconds: Callable[[Product], float]) -> None:
         """Take the product that is fastest, second looks included, where there is much to multiply."""
-        if multiplications < _WORTH or self._fixed:
+        if multiplications < (_WORTH_A_CHOICE if products.measured() else _WORTH) or self._fixed:
             return
         rates, least = products.seconds(), np.inf
         for product in sorted(rates, key=rates.__getitem__):

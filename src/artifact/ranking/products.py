@@ -230,3 +230,8 @@ def seconds() -> dict[Product, float]:
                 multiply(product, block, block, out)
                 best[product] = min(best[product], (time.perf_counter() - start) / block.size / len(block))
     return best
+
+
+def measured() -> bool:
+    """Whether this process knows :func:`seconds`."""
+    return seconds.cache_info().currsize > 0
