@@ -183,8 +183,14 @@ def number(value: float, *, digits: int | None = None) -> str:
 
 
 def whole(value: float) -> str:
-    """Print a number without decimals."""
-    return number(value, digits=0)
+    """Print a number without decimals.
+
+    Examples
+    --------
+    >>> whole(36_000_000), whole(float("nan"))
+    ('36,000,000', '–')
+    """
+    return "–" if pd.isna(value) else minus(f"{value:,.0f}")
 
 
 def two_decimals(value: float) -> str:
