@@ -15,7 +15,7 @@ import numpy as np
 
 from artifact.ranking.compiled import compiled
 
-_CHUNK = 128  # columns that are tested together before any of them is looked at alone
+_CHUNK, _FEW = 128, 16  # columns that are tested together before any of them is looked at alone
 _ALMOST = 1 - 2.0**-50
 _NONE: Any = np.int32(0)  # what narrow sums begin with
 
@@ -154,6 +154,19 @@ def _line(tile: Tile, lens: Lens, row: int, out: np.ndarray) -> np.ndarray:
 
 
 @compiled()
+def _surely(
+    values: np.ndarray, scale: np.ndarray, bias: np.ndarray, reaches: np.ndarray, level: float, reach: float
+) -> tuple[int, int]:
+    """Count the images of a part of a row that are surely above and surely below a best positive."""
+    above, below = _NONE, _NONE  # narrow sums of slices: only so does the compiler use vectors
+    for place in range(values.size):
+        middle, width = level * scale[place] + bias[place], reach * reaches[place]
+        above += np.int32(values[place] > middle + width)
+        below += np.int32(values[place] < middle - width)
+    return above, below
+
+
+@compiled()
 def count_rows(tile: Tile, lens: Lens, target: Target, groups: Groups, counts: Counts) -> np.ndarray:
     """Count the images of a tile that surely outrank the best positives; returns the ``(m, 2)`` pairs in doubt.
 
@@ -171,34 +184,33 @@ def count_rows(tile: Tile, lens: Lens, target: Target, groups: Groups, counts: C
         level, reach, own = target.level[query], lens.query_reach[query], members[starts[query] : starts[query + 1]]
         total = 0
         for begin in range(0, columns, _CHUNK):
-            end = min(begin + _CHUNK, columns)
-            # Slices and narrow sums: only so does the compiler use vectors.
-            part, factor, shift, near = line[begin:end], scale[begin:end], bias[begin:end], reaches[begin:end]
-            above, below = _NONE, _NONE
-            for offset in range(part.size):
-                middle, width = level * factor[offset] + shift[offset], reach * near[offset]
-                above += np.int32(part[offset] > middle + width)
-                below += np.int32(part[offset] < middle - width)
+            some = slice(begin, min(begin + _CHUNK, columns))
+            above, below = _surely(line[some], scale[some], bias[some], reaches[some], level, reach)
             total += above
-            if above + below == end - begin:
+            if above + below == some.stop - begin:
                 continue
-            for column in range(begin, end):
-                middle, width = level * scale[column] + bias[column], reach * reaches[column]
-                if line[column] > middle + width or line[column] < middle - width:
+            for first in range(begin, some.stop, _FEW):
+                few = slice(first, min(first + _FEW, some.stop))
+                above, below = _surely(line[few], scale[few], bias[few], reaches[few], level, reach)
+                if above + below == few.stop - first:
                     continue
-                image = tile.first_column + column
-                place = np.searchsorted(own, image)
-                if place < own.size and own[place] == image:
-                    continue
-                if identity[column] == target.identity[query]:
-                    counts.ties[query] += 1
-                    continue
-                if found == pairs.shape[0]:
-                    larger = np.empty((2 * found, 2), np.int64)
-                    larger[:found] = pairs
-                    pairs = larger
-                pairs[found, 0], pairs[found, 1] = query, image
-                found += 1
+                for column in range(first, few.stop):
+                    middle, width = level * scale[column] + bias[column], reach * reaches[column]
+                    if line[column] > middle + width or line[column] < middle - width:
+                        continue
+                    image = tile.first_column + column
+                    place = np.searchsorted(own, image)
+                    if place < own.size and own[place] == image:
+                        continue
+                    if identity[column] == target.identity[query]:
+                        counts.ties[query] += 1
+                        continue
+                    if found == pairs.shape[0]:
+                        larger = np.empty((2 * found, 2), np.int64)
+                        larger[:found] = pairs
+                        pairs = larger
+                    pairs[found, 0], pairs[found, 1] = query, image
+                    found += 1
         for entry in range(own.size):
             column = own[entry] - tile.first_column
             if 0 <= column < columns:
