@@ -109,6 +109,14 @@ def test_made_values_are_never_called_real(rehearsal):
     assert all(not t.has_images for t in loaded.traversals.values())
 
 
+def test_as_many_made_queries_stray_as_the_paper_leaves_out():
+    entry = manifest.load().dataset("robotcar")
+    along, positions = made.route(entry, entry.query, entry.paper.queries)
+    off = along > 1e4
+    assert off.sum() == entry.paper.queries - entry.paper.evaluated == 34
+    assert np.linalg.norm(positions[off], axis=1).min() > 10 * np.linalg.norm(positions[~off], axis=1).max()
+
+
 def test_made_files_that_are_damaged_are_made_again(rehearsal, capsys):
     folder = Path(str(rehearsal.dataset("svox").root))
     described = rehearsal.dataset("svox").traversals[rehearsal.dataset("svox").query]

@@ -4,6 +4,7 @@ import multiprocessing
 import subprocess
 import sys
 import time
+import types
 
 import pytest
 import torch
@@ -434,3 +435,22 @@ def test_the_probes_measure_every_rate():
     found = probes.rates(timing.Trials(), [(4, 4, 8)])
     assert set(found) == {*RATES, "match (4, 4, 8)"} - {"match (3, 4, 6)"}
     assert all(value is not None and value >= 0 for value in found.values())
+
+
+@pytest.mark.parametrize(("platform", "bytes_"), [("linux", 5 * 1024), ("darwin", 5)])
+def test_peak_memory_where_the_system_tells_no_more(monkeypatch, tmp_path, platform, bytes_):
+    monkeypatch.setattr(timing, "Path", lambda _: tmp_path / "nothing")
+    monkeypatch.setattr(timing.sys, "platform", platform)
+    monkeypatch.setattr(timing.resource, "getrusage", lambda _: types.SimpleNamespace(ru_maxrss=5))
+    assert timing.peak_memory() == bytes_
+
+
+@pytest.mark.parametrize(("method", "what"), [("selavpr", "local features"), ("selavprpp", "hash codes")])
+def test_a_plan_says_what_of_the_disk_is_the_second_stage(monkeypatch, method, what):
+    trials = types.SimpleNamespace(of_method=lambda *_: Timing(0.5, 0.01, 2e9, 2e8, "one image"))
+    monkeypatch.setattr(extraction_costs, "is_stored", lambda *_: False)
+    known = [KnownTraversal("day", 10, "here", (480, 640))]
+    cost = extraction_costs.extraction_cost(
+        manifest.load(), method, "gardens_point", known, trials, [torch.device("cpu")]
+    )
+    assert sum(what in note for note in cost.notes) == 1
