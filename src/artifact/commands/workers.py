@@ -111,6 +111,8 @@ def connected(where: str, folder: Path, memory: float = 0.0) -> Iterator[Client]
 def _local(memory: float) -> Iterator[LocalCluster]:
     from distributed import LocalCluster
 
+    # Its threads may say what they lost when the cluster, which keeps them silent, is closed.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     workers = local_workers(memory)
     resources = {"MEMORY": available_memory() / workers} | ({"GPU": 1} if devices() else {})
     with _undisturbed():
