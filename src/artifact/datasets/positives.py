@@ -28,7 +28,8 @@ def positives_of(
     """
     trees = cKDTree(query_positions), cKDTree(database_positions)
     near = trees[0].sparse_distance_matrix(trees[1], threshold * (1 + 1e-9), output_type="ndarray")
-    owners, indices = (near[side][np.lexsort((near["j"], near["i"]))].astype(np.int64) for side in ("i", "j"))
+    near = near[np.lexsort((near["j"], near["i"]))]
+    owners, indices = near["i"].astype(np.int64), near["j"].astype(np.int64)
     # The tree compares squared distances with a little slack; the definition decides.
     inside = np.linalg.norm(query_positions[owners] - database_positions[indices], axis=1) <= threshold
     counts = np.bincount(owners[inside], minlength=len(query_positions))
