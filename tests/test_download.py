@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import resource
+import shutil
 import types
 
 import pytest
@@ -138,9 +139,9 @@ def test_no_network_is_said_at_once(tmp_path, server):
 
 def test_a_download_that_the_disk_cannot_hold_is_not_begun(tmp_path, server, monkeypatch, content):
     free = types.SimpleNamespace(free=download._SPARE + len(content) - 1)
-    monkeypatch.setattr(download.shutil, "disk_usage", lambda _: free)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
     url = server.serve("a", content)
-    with pytest.raises(DownloadError, match=r"67 MB free, the download needs 67 MB; free some room"):
+    with pytest.raises(DownloadError, match=r"67\.\d MB free, the download needs 67\.\d MB; free some room"):
         download.fetch(url, tmp_path / "partial", label="a", progress=False)
     assert names_in(tmp_path) == set()
     free.free += 1

@@ -232,7 +232,7 @@ def test_room_on_the_disk_is_looked_at_first(tmp_path, monkeypatch):
     loaded = project(tmp_path, "nordland")
     put(loaded, "nordland", made("nordland"))
     monkeypatch.setattr(archives.shutil, "disk_usage", lambda _: types.SimpleNamespace(free=67_000_000))
-    assert "0.1 GB free, 0.1 GB are needed; free some room and run again" in fault(loaded, "nordland")
+    assert "67 MB free, 71.6 MB are needed; free some room and run again" in fault(loaded, "nordland")
 
 
 # -- what was prepared, and what was not -------------------------------------------------------------------------------

@@ -645,8 +645,8 @@ def test_data_shows_licence_and_terms_before_it_downloads_and_says_what_is_missi
         "licence: GPL-0.0",
         "licence: GPL-1.0",
         "terms: Ask first.",
-        "tiny1.pth, about 0.1 MB, from http",
-        "MB in all, ",
+        "tiny1.pth, about 100 kB, from http",
+        "200 kB in all, ",
     ):
         assert text in before
     after = capsys.readouterr().out
@@ -658,7 +658,7 @@ def test_data_shows_licence_and_terms_before_it_downloads_and_says_what_is_missi
     assert cli.main(["status", *arguments]) == 0
     status = capsys.readouterr().out
     assert "weights of tiny0: present" in status
-    assert "weights of tiny1: missing, tiny1.pth (about 0.1 MB)" in status
+    assert "weights of tiny1: missing, tiny1.pth (about 100 kB)" in status
     assert "weights of thumbnail" not in status
     assert cli.main(["data", *arguments]) == 0
     again = capsys.readouterr().out

@@ -30,9 +30,9 @@ from artifact.commands.plan import duration
 from artifact.commands.simulate import schedule
 from artifact.commands.workers import ClusterError, connected, devices
 from artifact.datasets import DatasetError
+from artifact.datasets.disk import in_words
 from artifact.datasets.images import UnreadableImageError
 from artifact.extraction import jobs as extraction_jobs
-from artifact.extraction.disk import in_words
 from artifact.extraction.jobs import ExtractionJob
 from artifact.extraction.reading import ExtractionError
 from artifact.manifest import CACHE_VARIABLE, DATA_ROOT_VARIABLE, Manifest

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from artifact import datasets
 from artifact.datasets import DatasetError, published
-from artifact.datasets.published import originals
+from artifact.datasets.disk import in_words
 from artifact.manifest import Manifest
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def _row(manifest: Manifest, name: str, states: Sequence[published.State]) -> tu
     files = list({file.path: file for one in states for file in one.originals}.values())
     here = sum(file.path.exists() for file in files)
     how = "" if counts["verified"] == len(states) else how_to_get(manifest, name)
-    size = originals.in_words(sum(file.entry.megabytes or 0 for file in files) or None)
+    size = in_words(sum(file.entry.n_bytes for file in files) or None)
     return name, state, images, f"{here} of {len(files)}, {size}", manifest.dataset(name).licence, how
 
 
@@ -74,8 +74,7 @@ def require(manifest: Manifest, tasks: Sequence[Task]) -> None:
         entry = manifest.method(method)
         state = weights.state(method, entry)
         if state.status in ("missing", "changed") and entry.weights:
-            megabytes = sum((file.size or 0) / 1e6 or file.megabytes or 0 for file in entry.weights.files)
-            size = originals.in_words(megabytes)
+            size = in_words(sum(file.n_bytes for file in entry.weights.files) or None)
             rows.append((method, f"{state.status} weights", size, entry.weights.licence, "make data PROFILE=paper"))
     here = [name for name in of_files if name not in faults]
     lines = ["nothing was run, since this is missing:", *_table([_HEAD_MISSING, *rows]), *_now(here)]
@@ -84,11 +83,11 @@ def require(manifest: Manifest, tasks: Sequence[Task]) -> None:
 
 def _row_of_missing(manifest: Manifest, name: str, fault: str) -> tuple[str, ...]:
     entry = manifest.dataset(name)
-    size = "size unknown"
-    if entry.preparation:
-        states = published.states(manifest, name)
-        pair = [file for s in states if s.traversal in (entry.query, entry.database) for file in s.originals]
-        size = originals.in_words(sum({f.path: f.entry.megabytes or 0 for f in pair}.values()) or None)
+    states = published.states(manifest, name) if entry.preparation else []
+    pair = {
+        file.path: file.entry for s in states if s.traversal in (entry.query, entry.database) for file in s.originals
+    }
+    size = in_words(sum(entry.n_bytes for entry in pair.values()) or None)
     state = "missing" if ": no folder " in fault else "cannot be used"
     return name, state, size, entry.licence, how_to_get(manifest, name)
 

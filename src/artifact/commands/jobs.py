@@ -127,7 +127,7 @@ def _sizes_of(manifest: Manifest, pair: tuple[str, str], traversals: Sequence[Tr
     name, method = pair
     entry, images = manifest.method(method), {one.name: len(one) for one in traversals}
     part = 4.0 * images_of_a_part(entry) * entry.dimension
-    weights = sum(file.size or 1e6 * (file.megabytes or 0) for file in (entry.weights.files if entry.weights else ()))
+    weights = sum(file.n_bytes for file in (entry.weights.files if entry.weights else ()))
     extraction = ExtractionCost(method, name, sum(images.values()), 0, None, 0, _MODEL + 2 * weights + part)
     return pair_cost(sizes(manifest, method, name, images), entry, extraction, {})
 

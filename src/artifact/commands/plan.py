@@ -20,9 +20,9 @@ from artifact.commands import costs, jobs, probes
 from artifact.commands.costs import STEPS, PairCost
 from artifact.commands.jobs import Job
 from artifact.commands.simulate import schedule
+from artifact.datasets.disk import free_bytes, in_words
 from artifact.extraction import forward, local_features, reading, timing
 from artifact.extraction.costs import ExtractionCost, KnownTraversal, extraction_cost, known_traversals
-from artifact.extraction.disk import free_bytes, in_words
 from artifact.extraction.timing import Trials
 from artifact.manifest import Manifest
 

@@ -28,10 +28,10 @@ from pydantic import BaseModel
 from artifact import methods, store, suppression
 from artifact.book import runner
 from artifact.datasets import Traversal, appearance, imported
+from artifact.datasets.disk import free_bytes, in_words
 from artifact.datasets.imported import Bundle, DescriptorRecord, Digest, File, Sidecar, TraversalRecord, read_record
 from artifact.extraction import extract, local_features, made
 from artifact.extraction import stored as extraction_stored
-from artifact.extraction.disk import free_bytes, in_words
 from artifact.manifest import Manifest
 from artifact.metrics import stored, two_stage
 from artifact.pages.provenance import code_revision

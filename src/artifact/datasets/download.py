@@ -14,7 +14,6 @@ import http.client
 import importlib.metadata
 import os
 import re
-import shutil
 import socket
 import time
 import urllib.error
@@ -27,6 +26,7 @@ from typing import Any
 from tqdm import tqdm
 
 from artifact import store
+from artifact.datasets.disk import free_bytes, in_words
 
 TIMEOUT = 30.0  # seconds without an answer after which an attempt is given up
 PAUSE = 2.0  # seconds before the second attempt; each further pause is twice as long
@@ -196,9 +196,9 @@ def _attempt(url: str, partial: Path, bar: tqdm, size: int | None) -> None:
         if kind in ("text/html", "application/xhtml+xml") or (not start and looks_like_page(chunk)):
             why = "; Google Drive does so when a file is asked for too often" if _DRIVE_PAGE.match(url) else ""
             raise DownloadError(f"the server sent a web page in place of the file{why}")
-        needed, free = (total or 0) - start + _SPARE, shutil.disk_usage(partial.parent).free
+        needed, free = (total or 0) - start + _SPARE, free_bytes(partial.parent)
         if needed > free:
-            room = f"{free / 1e6:,.0f} MB free, the download needs {needed / 1e6:,.0f} MB"
+            room = f"{in_words(free)} free, the download needs {in_words(needed)}"
             raise DownloadError(f"{partial.parent} has {room}; free some room and run again")
         if not start:  # a journal must never stand beside the bytes of another version
             partial.unlink(missing_ok=True)
@@ -222,9 +222,9 @@ def _refuse_endless(partial: Path, arrived: int, size: int | None) -> None:
     if size is not None and arrived > size:
         forget(partial)
         raise DownloadError(f"the server sends more than the {size:,} bytes that the manifest says")
-    if shutil.disk_usage(partial.parent).free < _SPARE:
+    if free_bytes(partial.parent) < _SPARE:
         forget(partial)
-        raise DownloadError(f"{partial.parent} has less than {_SPARE / 1e6:,.0f} MB left; free some room and run again")
+        raise DownloadError(f"{partial.parent} has less than {in_words(_SPARE)} left; free some room and run again")
 
 
 def _request(url: str, start: int, journal: dict[str, Any]) -> urllib.request.Request:

@@ -39,6 +39,17 @@ def read_image(path: Path, colour: str = "rgb") -> Image.Image:
         raise UnreadableImageError(f"{path}: {error}") from None
 
 
+def evenly_spaced(n: int, most: int) -> np.ndarray:
+    """Return the positions of at most ``most`` of ``n`` images, as far apart as they can be.
+
+    Examples
+    --------
+    >>> evenly_spaced(9, 3), evenly_spaced(2, 3)
+    (array([0, 4, 8]), array([0, 1]))
+    """
+    return np.linspace(0, n - 1, min(most, n)).astype(int)
+
+
 def _require_range(path: Path, image: Image.Image) -> None:
     """Colour of 16 bits, which Pillow cuts to the upper 8, must use them."""
     deep = any(";16" in str(tile.args) for tile in image.tile) and image.mode.startswith("RGB")

@@ -16,8 +16,8 @@ from PIL import Image
 
 from artifact import datasets, methods, store
 from artifact.datasets import shipped
+from artifact.datasets.disk import in_words
 from artifact.extraction import local_features, reading
-from artifact.extraction.disk import in_words
 from artifact.extraction.stored import descriptor_key, stored_path
 from artifact.extraction.timing import PHOTOGRAPH, Timing, Trials
 from artifact.manifest import Manifest

@@ -21,8 +21,8 @@ from tqdm import tqdm
 
 from artifact import methods, store
 from artifact.datasets import imported, shipped
+from artifact.datasets.disk import free_bytes, in_words
 from artifact.datasets.traversal import CHANGED, DatasetError, Given, Traversal
-from artifact.extraction.disk import free_bytes, in_words
 from artifact.extraction.local_features import SecondOutput
 from artifact.extraction.parts import assemble
 from artifact.extraction.stored import REVISION, Stored, stored

@@ -25,8 +25,8 @@ import numpy as np
 from PIL import Image
 
 from artifact import methods, store
+from artifact.datasets.disk import in_words
 from artifact.extraction import reading
-from artifact.extraction.disk import in_words
 from artifact.manifest import Manifest
 from artifact.manifest.entries import MethodEntry
 

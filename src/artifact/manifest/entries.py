@@ -88,21 +88,34 @@ class PaperCounts(_Strict):
     choices: str = ""
 
 
-class PublishedFile(_Strict):
+class _FromElsewhere(_Strict):
+    """A file that others published.
+
+    ``urls`` are tried in order: the owners' first, then mirrors. ``size`` in bytes and ``sha256`` are given where they
+    are known, else the first file is recorded in a lock file; ``megabytes`` is an estimate to show before the download.
+    """
+
+    urls: list[Annotated[str, Field(pattern=r"^https?://[^\s]+$")]] = []
+    size: int | None = Field(default=None, gt=0)
+    megabytes: float | None = Field(default=None, gt=0)
+    sha256: str | None = Field(default=None, pattern=r"^[0-9a-f]{64}$")
+
+    @property
+    def n_bytes(self) -> float:
+        """Bytes of the file as far as they are known or estimated, else 0."""
+        return self.size or 1e6 * (self.megabytes or 0)
+
+
+class PublishedFile(_FromElsewhere):
     """A file as the owners of a dataset publish it, or several that differ by traversal and part.
 
-    ``file`` may hold ``{traversal}`` and ``{part:02}``, which runs from 1 to ``parts``. ``urls`` are tried in order; without
-    any, a person puts the file into the folder of downloads. ``sha256`` and ``size`` in bytes are given where they are
-    known, else the first file is recorded in a lock file; ``megabytes`` is an estimate for each. ``traversals`` need it
-    (default: all), and those alone whose preparation has one of the values in ``when``.
+    ``file`` may hold ``{traversal}`` and ``{part:02}``, which runs from 1 to ``parts``; size and digest are those of each.
+    Without ``urls``, a person puts the file into the folder of downloads. ``traversals`` need it (default: all), and those
+    alone whose preparation has one of the values in ``when``.
     """
 
     file: str = Field(pattern=r"^[A-Za-z0-9{][A-Za-z0-9_.,+(){}:-]*$")
     parts: int | None = Field(default=None, gt=0)
-    urls: list[Annotated[str, Field(pattern=r"^https?://[^\s]+$")]] = []
-    size: int | None = Field(default=None, gt=0)
-    sha256: str | None = Field(default=None, pattern=r"^[0-9a-f]{64}$")
-    megabytes: float | None = Field(default=None, gt=0)
     traversals: list[Name] = []
     when: dict[str, list[Any]] = {}
 
@@ -206,21 +219,15 @@ class Preprocessing(_Strict):
         return self
 
 
-class WeightsFile(_Strict):
+class WeightsFile(_FromElsewhere):
     """One released file of trained weights.
 
-    ``urls`` are tried in order: the authors' first, then mirrors. A Google Drive link is given as people open it,
-    ``https://drive.google.com/file/d/ID/view``. ``size`` in bytes, ``sha256`` and ``git_blob`` (the SHA-1 by which git
-    names a file) are those of the released file where they are known; else the first download is recorded in a lock
-    file. ``megabytes`` is an estimate to show before the download. ``container`` is the key of the checkpoint that
-    holds the weights, or ``flat``. ``tensor`` says that the file is a single tensor, and its name in the model.
+    A Google Drive link is given as people open it, ``https://drive.google.com/file/d/ID/view``. ``git_blob`` is the SHA-1
+    by which git names the file. ``container`` is the key of the checkpoint that holds the weights, or ``flat``. ``tensor``
+    says that the file is a single tensor, and its name in the model.
     """
 
     file: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.,+()-]*$")
-    urls: list[Annotated[str, Field(pattern=r"^https?://[^\s]+$")]] = []
-    size: int | None = Field(default=None, gt=0)
-    megabytes: float | None = Field(default=None, gt=0)
-    sha256: str | None = Field(default=None, pattern=r"^[0-9a-f]{64}$")
     git_blob: str | None = Field(default=None, pattern=r"^[0-9a-f]{40}$")
     container: Literal["flat", "state_dict", "model_state_dict"] | None = None
     tensor: str | None = None

@@ -17,7 +17,7 @@ from artifact import store
 from artifact.datasets import Dataset, Traversal
 from artifact.datasets.appearance import measure
 from artifact.datasets.folder import contents
-from artifact.datasets.images import modes_and_sizes, read_image
+from artifact.datasets.images import evenly_spaced, modes_and_sizes, read_image
 from artifact.datasets.positives import positives_of
 from artifact.manifest import Manifest
 from artifact.manifest.entries import DatasetEntry
@@ -77,7 +77,7 @@ def _of_images(traversal: Traversal) -> dict[str, Any]:
     if not traversal.has_images:
         return {"size": None, "other_sizes": None, "modes": None, "brightness": np.nan}
     paths = traversal.image_paths()
-    sample = [paths[i] for i in _sampled(len(paths))]
+    sample = [paths[i] for i in evenly_spaced(len(paths), _SAMPLE)]
     modes, sizes = modes_and_sizes(sample)
     (width, height), most = Counter(sizes).most_common(1)[0]
     return {
@@ -140,7 +140,7 @@ def _remarks_on_copies(dataset: Dataset) -> list[str]:
     if not (dataset.query.has_images and dataset.database.has_images):
         return []
     queries, database = dataset.query.image_paths(), dataset.database.image_paths()
-    sample, copies = _sampled(len(queries)), 0
+    sample, copies = evenly_spaced(len(queries), _SAMPLE), 0
     for i in sample:
         distances = np.linalg.norm(dataset.database.positions - dataset.query.positions[i], axis=1)
         near = np.argsort(distances, kind="stable")[:_NEAREST]
@@ -152,11 +152,6 @@ def _remarks_on_copies(dataset: Dataset) -> list[str]:
 
 def _small(path: Path) -> np.ndarray:
     return np.asarray(read_image(path, "grey").resize((16, 16)), np.float64)
-
-
-def _sampled(n: int) -> np.ndarray:
-    """At most 25 evenly spaced of ``n`` images."""
-    return np.unique(np.linspace(0, n - 1, min(_SAMPLE, n)).astype(int))
 
 
 def _remarks_on_order(query: Traversal, database: Traversal) -> list[str]:

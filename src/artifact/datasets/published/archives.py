@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import IO
 
+from artifact.datasets.disk import free_bytes, in_words
 from artifact.datasets.download import looks_like_page
 from artifact.datasets.traversal import DatasetError
 
@@ -77,20 +78,17 @@ def members(path: Path) -> Iterator[Member]:
         for member in found:
             total += member.size
             if total > limit:
-                raise _refused(
-                    path, f"unpacks to more than {limit / 1e6:,.0f} MB, which no archive of photographs does"
-                )
+                raise _refused(path, f"unpacks to more than {in_words(limit)}, which no archive of photographs does")
             if not any(part.startswith((".", "__MACOSX")) for part in PurePosixPath(member.name).parts):
                 yield member
 
 
 def require_room(folder: Path, size: int) -> None:
     """Raise ``DatasetError`` if the disk of a folder has no room for so many bytes."""
-    there = next(parent for parent in (folder, *folder.resolve().parents) if parent.exists())
-    free = shutil.disk_usage(there).free
-    if size + _SPARE > free:
+    needed, free = size + _SPARE, free_bytes(folder)
+    if needed > free:
         raise DatasetError(
-            f"{there} has {free / 1e9:,.1f} GB free, {(size + _SPARE) / 1e9:,.1f} GB are needed; free some room and run again"
+            f"{folder} has {in_words(free)} free, {in_words(needed)} are needed; free some room and run again"
         )
 
 

@@ -8,13 +8,13 @@ from it; any later difference is an error.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import UTC, datetime
 from itertools import groupby, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from artifact import store
-from artifact.datasets import download
+from artifact.datasets import download, lock_file
+from artifact.datasets.disk import in_words
 from artifact.datasets.published import archives
 from artifact.datasets.traversal import DatasetError
 from artifact.manifest import Manifest
@@ -30,21 +30,6 @@ class Original(NamedTuple):
 
     path: Path
     entry: PublishedFile
-
-
-def in_words(megabytes: float | None) -> str:
-    """Write a size for people.
-
-    Examples
-    --------
-    >>> in_words(11800), in_words(0.47), in_words(None)
-    ('11.8 GB', '0.5 MB', 'size unknown')
-    """
-    if megabytes is None:
-        return "size unknown"
-    if megabytes >= 1000:
-        return f"{megabytes / 1000:,.1f} GB"
-    return f"{megabytes:.3g} MB" if megabytes >= 1 else f"{megabytes:.1f} MB"
 
 
 def downloads(manifest: Manifest, dataset: str) -> Path:
@@ -74,7 +59,7 @@ def fetch(files: Sequence[Original], label: str) -> None:
     faults = []
     if by_hand := [file for file in missing if not file.entry.urls]:
         names = ", ".join(_names(by_hand))
-        size = in_words(sum(file.entry.megabytes or 0 for file in by_hand) or None)
+        size = in_words(sum(file.entry.n_bytes for file in by_hand) or None)
         folder = by_hand[0].path.parent
         faults.append(f"{label}: {len(by_hand)} of {len(files)} published files are not in {folder} ({size}): {names}")
     for file in missing:
@@ -82,7 +67,7 @@ def fetch(files: Sequence[Original], label: str) -> None:
             try:
                 _download(file)
             except download.DownloadError as error:
-                size = in_words(file.entry.size / 1e6 if file.entry.size else file.entry.megabytes)
+                size = in_words(file.entry.n_bytes or None)
                 faults.append(
                     f"{label}: {file.path.name} could not be downloaded\n{error}\n  by hand: open {file.entry.urls[0]} in a "
                     f"browser, save the file ({size}) as {file.path} and run the same command again"
@@ -109,7 +94,7 @@ def _download(file: Original) -> None:
         except DatasetError as error:
             raise download.DownloadError(str(error)) from None
 
-    sha256 = entry.sha256 or (read_lock(path) or {}).get("sha256")
+    sha256 = entry.sha256 or _locked(path).get("sha256")
     with store.lock(path):
         download.retrieve(entry.urls, path, sha256=sha256, size=entry.size, accept=accept)
 
@@ -126,32 +111,22 @@ def digest(original: Original, cache: Path | None) -> dict[str, Any]:
             raise DatasetError(
                 f"{path}: its {key} is {found[key]}, that of the published file {expected}; delete it and get it again"
             )
-    locked = read_lock(path)
+    locked = _locked(path)
     if locked and locked["sha256"] != found["sha256"]:
         raise DatasetError(
             f"{path}: its SHA-256 is {found['sha256']}, but {locked['sha256']} was recorded on {locked['date']}; bring the "
-            f"earlier file back or, if the change is meant, delete {_lock_path(path).name}"
+            f"earlier file back or, if the change is meant, delete {lock_file.path_of(path).name}"
         )
     return found
 
 
 def write_lock(original: Original, found: Mapping[str, Any]) -> None:
     """Record a published file that a traversal was prepared from, if it is not recorded yet."""
-    if not _lock_path(original.path).exists():
-        store.write_json(_lock_path(original.path), {**found, "date": f"{datetime.now(UTC):%Y-%m-%d}"})
+    if not lock_file.path_of(original.path).exists():
+        lock_file.write(original.path, found)
 
 
-def read_lock(path: Path) -> dict[str, Any] | None:
-    """Return what the lock file of a published file records, ``None`` if there is none."""
-    lock = _lock_path(path)
-    if not lock.exists():
-        return None
-    try:
-        record = store.read_json(lock)
-        return {key: record[key] for key in ("size", "sha256", "date")}
-    except (store.StoreError, KeyError, TypeError):
-        raise DatasetError(f"{lock}: not a lock file; delete it, and {path.name} is recorded anew") from None
-
-
-def _lock_path(path: Path) -> Path:
-    return path.with_name(f"{path.name}.lock.json")
+def _locked(path: Path) -> dict[str, Any]:
+    """Return what the lock file of a published file records, nothing if there is none."""
+    there = lock_file.path_of(path).exists()
+    return lock_file.read(path, ("size", "sha256", "date"), DatasetError) if there else {}

@@ -25,7 +25,7 @@ from tqdm import tqdm
 
 from artifact import store
 from artifact.datasets.folder import natural_order
-from artifact.datasets.images import UnreadableImageError, modes_and_sizes, read_image
+from artifact.datasets.images import UnreadableImageError, evenly_spaced, modes_and_sizes, read_image
 from artifact.datasets.positions import names_in_csv
 from artifact.datasets.prepared import INDEX_FILE, SIDECAR_FILE, digests_of_images
 from artifact.datasets.published.archives import members, require_room
@@ -195,7 +195,7 @@ def _check_images(work: Path, label: str) -> list[str]:
         (work / left).unlink()  # of a run that was killed
     try:
         modes_and_sizes([work / name for name in names])
-        for index in np.unique(np.linspace(0, len(names) - 1, min(_DECODED, len(names))).astype(int)):
+        for index in evenly_spaced(len(names), _DECODED):
             read_image(work / names[index])
     except UnreadableImageError as error:
         shutil.rmtree(work)  # if it is a machine that went down, and no published image, the next run makes it right

@@ -7,7 +7,6 @@ tensors, date. Any later difference is an error. A file is accepted only if its 
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Literal
 
 from artifact import store
 from artifact.datasets import download
+from artifact.datasets.disk import free_bytes, in_words
 from artifact.manifest.entries import MethodEntry, WeightsEntry, WeightsFile
 from artifact.methods.weights import lock
 from artifact.methods.weights.lock import WeightsError
@@ -136,9 +136,11 @@ def announcement(entries: Mapping[str, MethodEntry]) -> str:
         lines += [f"  terms: {weights.terms.strip()}"] if weights.terms else []
         for file in missing:
             lines.append(f"  {file.file}, {_size(file)}, from {file.urls[0] if file.urls else 'its owners'}")
-            total += (file.size or 0) / 1e6 or file.megabytes or 0
+            total += file.n_bytes
         folders.add(weights.folder)
-    lines += [f"{total:,.0f} MB in all, {_free(folder)}" for folder in sorted(folders)]
+    lines += [
+        f"{in_words(total)} in all, {in_words(free_bytes(Path(folder)))} free at {folder}" for folder in sorted(folders)
+    ]
     return "".join(f"{line}\n" for line in lines)
 
 
@@ -209,11 +211,4 @@ def _obtain(entry: WeightsEntry) -> list[str]:
 
 def _size(file: WeightsFile, path: Path | None = None) -> str:
     size = path.stat().st_size if path and path.exists() else file.size
-    if size is not None:
-        return f"{size / 1e6:,.1f} MB"
-    return f"about {file.megabytes:,g} MB" if file.megabytes else "size unknown"
-
-
-def _free(folder: str) -> str:
-    existing = next(parent for parent in (Path(folder), *Path(folder).resolve().parents) if parent.exists())
-    return f"{shutil.disk_usage(existing).free / 1e6:,.0f} MB free at {folder}"
+    return in_words(size) if size is not None or not file.megabytes else f"about {in_words(file.n_bytes)}"

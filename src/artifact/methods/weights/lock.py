@@ -9,14 +9,14 @@ from __future__ import annotations
 import contextlib
 import hashlib
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from artifact import store
+from artifact.datasets import lock_file
+from artifact.datasets.lock_file import ENDING, path_of
 from artifact.manifest.entries import WeightsFile
 
-_ENDING = ".lock.json"
 _KEYS = ("url", "size", "sha256", "tensors", "date")
 
 
@@ -24,26 +24,17 @@ class WeightsError(RuntimeError):
     """Weights that are missing, changed, or not those of the method; the message names the file and what to do."""
 
 
-def path_of(path: Path) -> Path:
-    """Return the lock file of a file of weights."""
-    return path.with_name(f"{path.name}{_ENDING}")
-
-
 def read(path: Path) -> dict[str, Any]:
     """Return what the lock file of a file of weights records; raise :class:`WeightsError` if it is no lock file."""
-    try:
-        record = store.read_json(path_of(path))
-        return {**record, **{key: record[key] for key in _KEYS}}
-    except (store.StoreError, KeyError, TypeError):
-        raise WeightsError(f"{path_of(path)}: not a lock file; delete it, and the weights are examined anew") from None
+    return lock_file.read(path, _KEYS, WeightsError)
 
 
 def write(path: Path, *, url: str, method: str, tensors: str) -> None:
     """Record a file that was just accepted: where it came from, the method that it fits, the digest of its tensors."""
     now, record = store.stamp(path), {"file": path.name, "method": method, "url": url, "tensors": tensors}
-    record |= {"sha256": sha256(path), "date": f"{datetime.now(UTC):%Y-%m-%d}", "size": now[0], "stamp": now}
+    record |= {"sha256": sha256(path), "size": now[0], "stamp": now}
     with writing(path):
-        store.write_json(path_of(path), record)
+        lock_file.write(path, record)
 
 
 @contextlib.contextmanager
@@ -92,13 +83,13 @@ def refuse_twin(path: Path, digest: str, tensors: str) -> None:
 
     Two methods never have equal weights: one of the two files is under a wrong name.
     """
-    for lock in sorted(path.parent.glob(f"*{_ENDING}")):
-        twin = lock.with_name(lock.name.removesuffix(_ENDING))
+    for lock in sorted(path.parent.glob(f"*{ENDING}")):
+        twin = lock.with_name(lock.name.removesuffix(ENDING))
         record = read(twin) if twin != path and twin.exists() else {}
         if record and (digest == record["sha256"] or tensors == record["tensors"]):
             raise WeightsError(
                 f"{path.name} holds the same weights as {twin.name} of {record.get('method', 'another method')}, so "
-                f"one of the two is not what its name says; delete that one and its lock file (NAME{_ENDING})"
+                f"one of the two is not what its name says; delete that one and its lock file (NAME{ENDING})"
             )
 
 
