@@ -299,7 +299,7 @@ def test_the_bound_of_a_view_holds_and_a_lens_is_no_wider_than_needed():
             product.terms(queries, np.sqrt(rows[0].squared))[0],
             product.terms(database, np.sqrt(rows[1].squared))[1],
         )
-        lens = lenses.lens(q, c, "cosine", terms, lenses.limits(q, c, "cosine"))
+        lens = lenses.lens(q, c, "cosine", terms, lenses.limits(q, c, "cosine"), None)
         seen = product.multiply(queries, database) - lens.left @ lens.right
         true = [fitted.transform(one.astype(np.float64)) for one in (queries, database)]
         error = np.abs(seen - true[0] @ true[1].T)

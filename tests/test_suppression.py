@@ -517,7 +517,8 @@ def test_views_equal_transforming_the_descriptors_first(similarity, device, monk
     where = np.arange(n, dtype=float)
     X, condition = np.concatenate([queries, database]), np.repeat([0, 1], n)
     inlp, leace = INLP(n_iterations=6).fit(X, condition), LEACE().fit(X, condition)
-    views = {"inlp": inlp, "inlp at 2": inlp.at(2), "leace": leace, "both": compose(leace, inlp)}
+    views = {"inlp at 2": inlp.at(2), "inlp at 3": inlp.at(3), "inlp": inlp, "again": inlp, "inlp at 1": inlp.at(1)}
+    views |= {"leace": leace, "both": compose(leace, inlp)}
     result = evaluate(queries, database, where, where, 1.0, views=views, similarity=similarity, retrieve=5)
     unchanged = evaluate(queries, database, where, where, 1.0, views={"none": inlp.at(0)}, similarity=similarity)
     np.testing.assert_array_equal(unchanged["none"].ranks(distractors=True), result.ranks(distractors=True))

@@ -31,12 +31,13 @@ class Tile(NamedTuple):
 class Lens(NamedTuple):
     """How a view reads inner products of queries and one set of images, in float32.
 
-    It subtracts ``left @ right``, of ``(queries, m)`` and ``(m, images)``, m a multiple of 4. ``scale``, ``bias``,
-    ``image_reach`` and ``identity`` are per image, ``query_reach`` per query.
+    It subtracts ``left @ right``, of ``(queries, m)`` and ``(m, images)``, whose first ``shared`` parts are all that the
+    lens before subtracts. ``scale``, ``bias``, ``image_reach`` and ``identity`` are per image, ``query_reach`` per query.
     """
 
     left: np.ndarray
     right: np.ndarray
+    shared: int
     scale: np.ndarray
     bias: np.ndarray
     image_reach: np.ndarray
@@ -64,6 +65,13 @@ class Places(NamedTuple):
     queries: np.ndarray
     pool: np.ndarray
     threshold: float
+
+
+class Orders(NamedTuple):
+    """Random orders of a pool: ``(pool, draws)`` int32 places of each image, and ``(pool,)`` the smallest of each."""
+
+    place: np.ndarray
+    earliest: np.ndarray
 
 
 class Counts(NamedTuple):
@@ -134,23 +142,24 @@ def near_best(
 
 
 @compiled()
-def _line(tile: Tile, lens: Lens, row: int, out: np.ndarray) -> np.ndarray:
-    """Return the inner products of one tile row in a view, in ``out`` where they differ."""
-    values, query, first = tile.values[row], tile.first_row + row, tile.first_column
-    if lens.left.shape[1] == 0:
-        return values
-    for column in range(values.size):
-        out[column] = values[column]
-    end = first + values.size
-    for part in range(0, lens.left.shape[1], 4):
-        a, b = lens.left[query, part], lens.left[query, part + 1]
-        c, d = lens.left[query, part + 2], lens.left[query, part + 3]
-        # One by one: only so is the compiler sure that neighbours lie side by side.
-        p, q = lens.right[part, first:end], lens.right[part + 1, first:end]
-        r, s = lens.right[part + 2, first:end], lens.right[part + 3, first:end]
-        for column in range(values.size):
-            out[column] -= (a * p[column] + b * q[column]) + (c * r[column] + d * s[column])
-    return out
+def show_rows(tile: Tile, lens: Lens, out: np.ndarray) -> None:
+    """Write the inner products of a tile in a view, from the same of the view before where they share parts."""
+    right, first, end = lens.right, tile.first_column, tile.first_column + out.shape[1]
+    for row in range(out.shape[0]):
+        line, parts = out[row], lens.left[tile.first_row + row]
+        line[:] = tile.values[row]
+        whole = lens.shared + (parts.size - lens.shared) // 4 * 4
+        for part in range(lens.shared, whole, 4):
+            a, b, c, d = parts[part], parts[part + 1], parts[part + 2], parts[part + 3]
+            # One by one: only so is the compiler sure that neighbours lie side by side.
+            p, q = right[part, first:end], right[part + 1, first:end]
+            r, s = right[part + 2, first:end], right[part + 3, first:end]
+            for column in range(line.size):
+                line[column] -= (a * p[column] + b * q[column]) + (c * r[column] + d * s[column])
+        for part in range(whole, parts.size):
+            a, p = parts[part], right[part, first:end]
+            for column in range(line.size):
+                line[column] -= a * p[column]
 
 
 @compiled()
@@ -175,12 +184,12 @@ def count_rows(tile: Tile, lens: Lens, target: Target, groups: Groups, counts: C
     """
     starts, members = groups
     rows, columns = tile.values.shape
-    out, pairs, found = np.empty(columns, np.float32), np.empty((64, 2), np.int64), 0
+    pairs, found = np.empty((64, 2), np.int64), 0
     scale, bias = lens.scale[tile.first_column :][:columns], lens.bias[tile.first_column :][:columns]
     reaches, identity = lens.image_reach[tile.first_column :][:columns], lens.identity[tile.first_column :][:columns]
     for row in range(rows):
         query = tile.first_row + row
-        line = _line(tile, lens, row, out)
+        line = tile.values[row]
         level, reach, own = target.level[query], lens.query_reach[query], members[starts[query] : starts[query + 1]]
         total = 0
         for begin in range(0, columns, _CHUNK):
@@ -253,24 +262,21 @@ def _insert(apart: float, image: int, farthest: np.ndarray, first: np.ndarray, o
 
 
 @compiled()
-def sweep_rows(
-    tile: Tile, lens: Lens, target: Target, places: Places, orders: np.ndarray, earliest: np.ndarray, counts: Counts
-) -> None:
+def sweep_rows(tile: Tile, lens: Lens, target: Target, places: Places, orders: Orders, counts: Counts) -> None:
     """Put the allowed distractors of a tile that surely outrank the best positives into the lists behind both sweeps.
 
-    ``orders`` is ``(pool, draws)``: the place of each pool image in each random order, and ``earliest`` its smallest
-    place. The loops over a chunk have no branches; only a chunk that changes a list is looked at image by image.
+    The loops over a chunk have no branches; only a chunk that changes a list is looked at image by image.
     """
     positions, threshold = places.queries, places.threshold
     rows, columns = tile.values.shape
-    out, squares, outranks = np.empty(columns, np.float32), np.empty(_CHUNK), np.empty(_CHUNK, np.int32)
+    squares, outranks = np.empty(_CHUNK), np.empty(_CHUNK, np.int32)
     there = np.ascontiguousarray(places.pool[tile.first_column :][:columns].T)
-    last, draws = counts.farthest.shape[1] - 1, orders.shape[1]
+    last, draws = counts.farthest.shape[1] - 1, orders.place.shape[1]
     scale, bias = lens.scale[tile.first_column :][:columns], lens.bias[tile.first_column :][:columns]
-    reaches, earliest = lens.image_reach[tile.first_column :][:columns], earliest[tile.first_column :][:columns]
+    reaches, earliest = lens.image_reach[tile.first_column :][:columns], orders.earliest[tile.first_column :][:columns]
     for row in range(rows):
         query = tile.first_row + row
-        line = _line(tile, lens, row, out)
+        line = tile.values[row]
         level, reach = target.level[query], lens.query_reach[query]
         farthest, first = counts.farthest[query], counts.first[query]
         for begin in range(0, columns, _CHUNK):
@@ -300,17 +306,17 @@ def sweep_rows(
                     if outranks[place]:
                         apart = np.sqrt(squared[place])
                         if apart > threshold and (apart > farthest[last] or early[place] < latest):
-                            _insert(apart, tile.first_column + begin + place, farthest, first, orders)
+                            _insert(apart, tile.first_column + begin + place, farthest, first, orders.place)
 
 
 @compiled()
-def sweep_pairs(pairs: np.ndarray, places: Places, orders: np.ndarray, counts: Counts) -> None:
+def sweep_pairs(pairs: np.ndarray, places: Places, orders: Orders, counts: Counts) -> None:
     """Put pairs that turned out to outrank the best positives into the lists behind both sweeps."""
     apart = np.empty(1)
     for pair in range(pairs.shape[0]):
         query, image = pairs[pair, 0], pairs[pair, 1]
         _squared_distances(places.queries[query], places.pool[image : image + 1].T, apart)
-        _insert(np.sqrt(apart[0]), image, counts.farthest[query], counts.first[query], orders)
+        _insert(np.sqrt(apart[0]), image, counts.farthest[query], counts.first[query], orders.place)
 
 
 @compiled()
@@ -318,11 +324,11 @@ def top_rows(tile: Tile, lens: Lens, groups: Groups, similarity: np.ndarray, ind
     """Merge the images of a tile that seem most similar into running lists ``(n, m)``; ``groups`` are left out."""
     starts, members = groups
     rows, columns = tile.values.shape
-    out, last = np.empty(columns, np.float32), similarity.shape[1] - 1
+    last = similarity.shape[1] - 1
     scale, bias = lens.scale[tile.first_column :][:columns], lens.bias[tile.first_column :][:columns]
     for row in range(rows):
         query = tile.first_row + row
-        line = _line(tile, lens, row, out)
+        line = tile.values[row]
         own, values, labels = members[starts[query] : starts[query + 1]], similarity[query], index[query]
         for begin in range(0, columns, _CHUNK):
             end, reached, floor = min(begin + _CHUNK, columns), _NONE, values[last]

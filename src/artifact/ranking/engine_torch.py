@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 
 from artifact.ranking import products
 from artifact.ranking.compiled import threads
-from artifact.ranking.counting import Counts, Groups, Lens, Places, Target, Tile
+from artifact.ranking.counting import Counts, Groups, Lens, Orders, Places, Target, Tile
 from artifact.ranking.products import Product, TorchProduct
 
 _CONVERTED = 32 * 2**20  # bytes of descriptors that are sent to the device at a time if they do not stay there
+
+T = TypeVar("T")
 
 
 class TorchEngine:
@@ -55,23 +57,36 @@ class TorchEngine:
         """Return the transposed tile."""
         return tile.T
 
-    def count(self, tile: Tile, lens: Lens, target: Target, groups: Groups, counts: Counts) -> np.ndarray:
+    def in_pieces(self, tile: Tile, work: Callable[[Tile], T], largest: int) -> list[T]:
+        """Do some work with a tile: the device divides it by itself."""
+        return [work(tile)]
+
+    def shown(self, piece: Tile, lens: Lens) -> Tile:
+        """Do as :func:`artifact.ranking.counting.show_rows`."""
+        if not lens.left.shape[1]:
+            return piece
+        rows, columns = self._ranges(piece)
+        left, right = lens.left[rows, lens.shared :], lens.right[lens.shared :, columns]
+        with products.precision("highest"):
+            return piece._replace(values=piece.values - self._send(left) @ self._send(right))
+
+    def count(self, piece: Tile, lens: Lens, target: Target, groups: Groups, counts: Counts) -> np.ndarray:
         """Do as :func:`artifact.ranking.counting.count_rows`."""
-        rows, columns = self._ranges(tile)
-        line, middle, width = self._against(tile, lens, target)
-        left_out = self._members(tile, groups)
+        rows, columns = self._ranges(piece)
+        line, middle, width = self._against(piece, lens, target)
+        left_out = self._members(piece, groups)
         above, below = line > middle + width, line < middle - width
         equal = self._send(target.identity[rows])[:, None] == self._send(lens.identity[columns])
         unsure = ~(above | below | left_out)
         counts.outranking[rows] += (above & ~left_out).sum(1).cpu().numpy()
         counts.ties[rows] += (unsure & equal).sum(1).cpu().numpy()
-        return (unsure & ~equal).nonzero().cpu().numpy() + np.array([tile.first_row, tile.first_column])
+        return (unsure & ~equal).nonzero().cpu().numpy() + np.array([piece.first_row, piece.first_column])
 
-    def sweep(self, tile: Tile, lens: Lens, target: Target, places: Places, orders: np.ndarray, counts: Counts) -> None:
+    def sweep(self, piece: Tile, lens: Lens, target: Target, places: Places, orders: Orders, counts: Counts) -> None:
         """Do as :func:`artifact.ranking.counting.sweep_rows`."""
-        rows, columns = self._ranges(tile)
-        line, middle, width = self._against(tile, lens, target)
-        here, there, placed = map(self._send, (places.queries[rows], places.pool[columns], orders[columns]))
+        rows, columns = self._ranges(piece)
+        line, middle, width = self._against(piece, lens, target)
+        here, there, placed = map(self._send, (places.queries[rows], places.pool[columns], orders.place[columns]))
         squared = torch.zeros(line.shape, dtype=torch.float64, device=self._device)
         for axis in range(here.shape[1]):
             difference = here[:, axis, None] - there[None, :, axis]
@@ -88,14 +103,14 @@ class TorchEngine:
             merged = np.concatenate([counts.first[rows, :, draw], found], axis=1)
             counts.first[rows, :, draw] = np.sort(merged, axis=1)[:, : counts.first.shape[1]]
 
-    def top(self, tile: Tile, lens: Lens, groups: Groups, similarity: np.ndarray, index: np.ndarray) -> None:
+    def top(self, piece: Tile, lens: Lens, groups: Groups, similarity: np.ndarray, index: np.ndarray) -> None:
         """Do as :func:`artifact.ranking.counting.top_rows`."""
-        rows, columns = self._ranges(tile)
-        values = (self._line(tile, lens) - self._send(lens.bias[columns])) / self._send(lens.scale[columns])
-        values = values.nan_to_num(-torch.inf).masked_fill_(self._members(tile, groups), -torch.inf)
+        rows, columns = self._ranges(piece)
+        values = (piece.values - self._send(lens.bias[columns])) / self._send(lens.scale[columns])
+        values = values.nan_to_num(-torch.inf).masked_fill_(self._members(piece, groups), -torch.inf)
         found, places = values.topk(min(similarity.shape[1], values.shape[1]), dim=1)
         merged = np.concatenate([similarity[rows], found.cpu().numpy()], axis=1)
-        labels = np.concatenate([index[rows], places.cpu().numpy() + tile.first_column], axis=1)
+        labels = np.concatenate([index[rows], places.cpu().numpy() + piece.first_column], axis=1)
         order = np.argsort(-merged, axis=1, kind="stable")[:, : similarity.shape[1]]
         similarity[rows] = np.take_along_axis(merged, order, axis=1)
         index[rows] = np.where(np.isneginf(similarity[rows]), -1, np.take_along_axis(labels, order, axis=1))
@@ -107,19 +122,12 @@ class TorchEngine:
             slice(tile.first_column, tile.first_column + columns),
         )
 
-    def _line(self, tile: Tile, lens: Lens) -> torch.Tensor:
-        rows, columns = self._ranges(tile)
-        if lens.left.shape[1] == 0:
-            return tile.values
-        with products.precision("highest"):
-            return tile.values - self._send(lens.left[rows]) @ self._send(lens.right[:, columns])
-
     def _against(self, tile: Tile, lens: Lens, target: Target) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return inner products, what they are compared with, and how near to it they tell nothing."""
         rows, columns = self._ranges(tile)
         level, reach = (self._send(part[rows])[:, None] for part in (target.level, lens.query_reach))
         scale, bias, reaches = (self._send(part[columns]) for part in (lens.scale, lens.bias, lens.image_reach))
-        return self._line(tile, lens), level * scale + bias, reach * reaches
+        return tile.values, level * scale + bias, reach * reaches
 
     def _members(self, tile: Tile, groups: Groups) -> torch.Tensor:
         """Return which images of a tile belong to its queries."""

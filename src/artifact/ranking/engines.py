@@ -8,22 +8,23 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from artifact.ranking import counting, products
 from artifact.ranking.compiled import threads
-from artifact.ranking.counting import Counts, Groups, Lens, Places, Target, Tile
+from artifact.ranking.counting import Counts, Groups, Lens, Orders, Places, Target, Tile
 from artifact.ranking.products import NumpyProduct, Product
 
 _COLUMNS = 2048  # columns of a product at a time: as much is copied or widened
 _DRIVERS = ("libcuda.so.1", "libamdhip64.so", "nvcuda.dll")  # CUDA's, or ROCm's, which PyTorch also calls CUDA
 _WORTH = 2**35  # multiplications of a pass from which on products are tried
 _WORTH_A_CHOICE = 2**33  # the same once they are measured
+
+T = TypeVar("T")
 
 
 class Engine(Protocol):
@@ -38,11 +39,13 @@ class Engine(Protocol):
     def product(self, left: np.ndarray, rows: slice, right: np.ndarray, columns: slice) -> Any: ...  # noqa: D102
     def gather(self, tile: Any, rows: np.ndarray, columns: np.ndarray) -> np.ndarray: ...  # noqa: D102
     def transposed(self, tile: Any) -> Any: ...  # noqa: D102
-    def count(self, tile: Tile, lens: Lens, target: Target, groups: Groups, counts: Counts) -> np.ndarray: ...  # noqa: D102
+    def in_pieces(self, tile: Tile, work: Callable[[Tile], T], largest: int) -> list[T]: ...  # noqa: D102
+    def shown(self, piece: Tile, lens: Lens) -> Tile: ...  # noqa: D102
+    def count(self, piece: Tile, lens: Lens, target: Target, groups: Groups, counts: Counts) -> np.ndarray: ...  # noqa: D102
     def sweep(  # noqa: D102
-        self, tile: Tile, lens: Lens, target: Target, places: Places, orders: np.ndarray, counts: Counts
+        self, piece: Tile, lens: Lens, target: Target, places: Places, orders: Orders, counts: Counts
     ) -> None: ...
-    def top(self, tile: Tile, lens: Lens, groups: Groups, similarity: np.ndarray, index: np.ndarray) -> None: ...  # noqa: D102
+    def top(self, piece: Tile, lens: Lens, groups: Groups, similarity: np.ndarray, index: np.ndarray) -> None: ...  # noqa: D102
 
 
 class CpuEngine:
@@ -86,32 +89,39 @@ class CpuEngine:
 
     def transposed(self, tile: np.ndarray) -> np.ndarray:
         """Return the transposed tile in row order."""
-        out = self._buffer("transposed", (tile.shape[1], tile.shape[0]))
-        list(self.executor.map(lambda part: np.copyto(out[part], tile[:, part].T), self._parts(len(out))))
-        return out
+        out = Tile(self._buffer("transposed", (tile.shape[1], tile.shape[0])), 0, 0)
+        self.in_pieces(out, lambda piece: np.copyto(piece.values, tile[:, piece.first_row :][:, : len(piece.values)].T))
+        return out.values
 
-    def count(self, tile: Tile, lens: Lens, target: Target, groups: Groups, counts: Counts) -> np.ndarray:
+    def in_pieces(self, tile: Tile, work: Callable[[Tile], T], largest: int | None = None) -> list[T]:
+        """Do some work with pieces of at most ``largest`` rows of a tile, side by side."""
+        rows = len(tile.values)
+        step = min(largest or rows, -(-rows // self.executor._max_workers))
+
+        def one(start: int) -> T:
+            return work(Tile(tile.values[start : start + step], tile.first_row + start, tile.first_column))
+
+        return list(self.executor.map(one, range(0, rows, step)))
+
+    def shown(self, piece: Tile, lens: Lens) -> Tile:
+        """See :func:`artifact.ranking.counting.show_rows`; a piece in the view before is written over."""
+        if not lens.left.shape[1]:
+            return piece
+        out = piece.values if lens.shared else np.empty(piece.values.shape, np.float32)
+        counting.show_rows(piece, lens, out)
+        return piece._replace(values=out)
+
+    def count(self, piece: Tile, lens: Lens, target: Target, groups: Groups, counts: Counts) -> np.ndarray:
         """See :func:`artifact.ranking.counting.count_rows`."""
-        return np.concatenate(self._by_rows(tile, lambda part: counting.count_rows(part, lens, target, groups, counts)))
+        return counting.count_rows(piece, lens, target, groups, counts)
 
-    def sweep(self, tile: Tile, lens: Lens, target: Target, places: Places, orders: np.ndarray, counts: Counts) -> None:
+    def sweep(self, piece: Tile, lens: Lens, target: Target, places: Places, orders: Orders, counts: Counts) -> None:
         """See :func:`artifact.ranking.counting.sweep_rows`."""
-        earliest = orders.min(axis=1) if orders.shape[1] else np.zeros(len(orders), np.int32)
-        self._by_rows(tile, lambda part: counting.sweep_rows(part, lens, target, places, orders, earliest, counts))
+        counting.sweep_rows(piece, lens, target, places, orders, counts)
 
-    def top(self, tile: Tile, lens: Lens, groups: Groups, similarity: np.ndarray, index: np.ndarray) -> None:
+    def top(self, piece: Tile, lens: Lens, groups: Groups, similarity: np.ndarray, index: np.ndarray) -> None:
         """See :func:`artifact.ranking.counting.top_rows`."""
-        self._by_rows(tile, lambda part: counting.top_rows(part, lens, groups, similarity, index))
-
-    def _parts(self, n: int) -> list[slice]:
-        edges = np.linspace(0, n, self.executor._max_workers + 1).astype(int).tolist()
-        return [slice(start, stop) for start, stop in itertools.pairwise(edges) if stop > start]
-
-    def _by_rows(self, tile: Tile, work: Callable[[Tile], Any]) -> list[Any]:
-        def one(part: slice) -> Any:
-            return work(Tile(tile.values[part], tile.first_row + part.start, tile.first_column))
-
-        return list(self.executor.map(one, self._parts(len(tile.values))))
+        counting.top_rows(piece, lens, groups, similarity, index)
 
     def _buffer(self, name: str, shape: tuple[int, int]) -> np.ndarray:
         size = shape[0] * shape[1]

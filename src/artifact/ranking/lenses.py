@@ -4,7 +4,8 @@ With ``x = |q|``, ``A = |a|``, ``U = |u|`` and ``M = |u - G a|`` as in :mod:`art
 ``q·c - a_q·u_c - (u_q - G a_q)·a_c`` in float32 (``u = 2⁻²⁴``). Its error is at most the sum of
 
 - the product's own, from :mod:`artifact.ranking.products`;
-- ``e (x_q x_c + A_q U_c + M_q A_c)``, ``e = (3 m + 12) u``: m factors are rounded, multiplied and subtracted;
+- ``e (x_q x_c + A_q U_c + M_q A_c)``, ``e = (3 m + 12) u``: m factors are rounded, multiplied and subtracted,
+  one by one or several at a time;
 - ``M_q A_c`` itself where that term is left out, as for an orthogonal projection, whose remainder is rounding;
 - ``8 u (|t| scale + bias)``: rounding of what it is compared with, ``t`` the level of the best positive.
 
@@ -30,7 +31,12 @@ _SAMPLED = 128
 
 
 def lens(
-    queries: View, images: View, kind: Similarity, terms: tuple[np.ndarray, np.ndarray], limit: np.ndarray
+    queries: View,
+    images: View,
+    kind: Similarity,
+    terms: tuple[np.ndarray, np.ndarray],
+    limit: np.ndarray,
+    before: Lens | None,
 ) -> Lens:
     """Return what the first look compares, given the product's terms of queries and images and a limit of the levels."""
     x, A, M = (queries.as_query[:, 0], _lengths(queries.a), _lengths(queries.remainder))
@@ -38,8 +44,9 @@ def lens(
     kept = bool(M.size) and M.max() > _NEGLIGIBLE * max(A.max(), 1e-300)
     if kept:
         left, right = [*left, queries.remainder], [*right, images.a]
-    factor = np.concatenate(left, axis=1)
-    root = np.sqrt((3 * factor.shape[1] + 12) * _UNIT)
+    ours = np.concatenate(left, axis=1).astype(np.float32, order="C")
+    theirs = np.concatenate(right, axis=1).T.astype(np.float32, order="C")
+    root = np.sqrt((3 * len(theirs) + 12) * _UNIT)
     scale, bias, wrong = _scale_and_bias(images, kind)
     eighth = np.sqrt(8 * _UNIT)
     query_terms = [terms[0], *(root * part[:, None] for part in (x, A)), (M * (root if kept else 1 / root))[:, None]]
@@ -54,16 +61,23 @@ def lens(
         reach = _lengths(np.hstack(sides)) * (1 + 2.0**-20)
         longest = np.max([view.as_image[:, 0], _lengths(view.u), _lengths(view.a), _lengths(view.remainder)], axis=0)
         reaches.append(np.where((longest < _LONGEST) & (reach < _LONGEST), reach, np.inf).astype(np.float32))
-    padding = (0, -factor.shape[1] % 4)
     return Lens(
-        np.pad(factor.astype(np.float32), ((0, 0), padding)),
-        np.pad(np.ascontiguousarray(np.concatenate(right, axis=1).T, np.float32), (padding, (0, 0))),
+        ours,
+        theirs,
+        _shared(ours, theirs, before),
         scale.astype(np.float32),
         bias.astype(np.float32),
         image_reach=reaches[1],
         query_reach=reaches[0],
         identity=images.rows.identity,
     )
+
+
+def _shared(left: np.ndarray, right: np.ndarray, before: Lens | None) -> int:
+    """Return how many parts the lens before subtracts, if these begin with them: each step of INLP has one more."""
+    parts = before.left.shape[1] if before else 0
+    same = before and np.array_equal(left[:, :parts], before.left) and np.array_equal(right[:parts], before.right)
+    return parts if same else 0
 
 
 def limits(queries: View, database: View, kind: Similarity) -> np.ndarray:

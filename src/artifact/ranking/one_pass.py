@@ -11,6 +11,7 @@ ties and lists are those of the exact similarities, and the same on every machin
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ import numpy as np
 from artifact.datasets.positives import positives_of
 from artifact.ranking import counting, lenses
 from artifact.ranking.arithmetic import Dots
-from artifact.ranking.counting import Counts, Groups, Lens, Places, Tile
+from artifact.ranking.counting import Counts, Groups, Lens, Orders, Places, Target, Tile
 from artifact.ranking.engines import Engine, engine_for
 from artifact.ranking.lists import SPARE, Listed, top_lists
 from artifact.ranking.products import Product
@@ -32,6 +33,7 @@ REVISION = 4  # raise when any count changes: it is part of the key of stored ra
 
 _TILE_SIDE = 1024
 _LARGEST_ROWS = 2048
+_PIECE = 2**17  # values of a tile that several views are counted in together
 _PENDING = 2**20  # pairs that wait for their second look
 _OF_A_VIEW = 0.1  # what second looks in a further view cost, in those of the first: most inner products are the same
 
@@ -226,14 +228,19 @@ class _Pass:
             members = self.positives.members[starts[0] : starts[-1]]
             owners = np.repeat(np.arange(block.stop - block.start), np.diff(starts))
             found = self.engine.gather(values, owners, members)
+            targets = {}
             for view, lens in seen.items():
                 near = counting.near_best(found, lens, self.positives, block.start, block.stop - block.start)
                 self.best[view].find(near[0], near[1], self.looks[view])
-                target = lenses.target(self.best[view], self._limits[view])
-                pairs = self.engine.count(tile, lens, target, self.positives, kept[view].counts)
-                self._wait(kept[view], pairs, view, self.looks[view], None)
+                targets[view] = lenses.target(self.best[view], self._limits[view])
+
+            def count(view: str, lens: Lens, shown: Tile, targets: dict[str, Target] = targets) -> np.ndarray:
                 if options.retrieve:
-                    self.engine.top(tile, lens, none, *kept[view].top)
+                    self.engine.top(shown, lens, none, *kept[view].top)
+                return self.engine.count(shown, lens, targets[view], self.positives, kept[view].counts)
+
+            for view, pairs in self._in_views(tile, seen, count):
+                self._wait(kept[view], pairs, view, self.looks[view], None)
         for view, lens in seen.items():
             self._decide(kept[view], view, self.looks[view], None)
             self._listed[view] = Listed(*kept[view].top, lens, self.looks[view], lambda _: np.arange(len(database)), 0)
@@ -249,7 +256,8 @@ class _Pass:
         seen, targets = self._lenses(columns), {}
         for view in self.transforms:
             targets[view] = lenses.target(self.best[view], self._limits[view])
-        orders = draw_orders(len(pool), options)
+        placed = draw_orders(len(pool), options)
+        orders = Orders(placed, placed.min(axis=1, initial=len(pool)))
         places = Places(self.queries.positions, pool.positions, self.threshold)
         near = Groups(*positives_of(*places)) if len(pool) else Groups(np.zeros(n + 1, np.int64), np.zeros(0, np.int64))
         swept = {view for view in self.transforms if view == ORIGINAL or options.view_sweeps or options.retrieve}
@@ -258,20 +266,21 @@ class _Pass:
             view: _Kept(Counts.empty(n, *(lists if view in swept else (0, 0)), 0), n, options.retrieve)
             for view in self.transforms
         }
+
+        def count(view: str, lens: Lens, shown: Tile) -> np.ndarray:
+            if view in swept:
+                self.engine.sweep(shown, lens, targets[view], places, orders, kept[view].counts)
+            if options.retrieve:
+                self.engine.top(shown, lens, near, *kept[view].top)
+            return self.engine.count(shown, lens, targets[view], near, kept[view].counts)
+
         step = max(1, min(_TILE_SIDE, math.isqrt(options.memory // (4 * 2))))
         for block, cols, mirrored in _tiles(n, len(pool), step, symmetric=own):
             values = self.engine.product(self.queries.descriptors, block, pool.descriptors, cols)
             halves = [Tile(values, block.start, cols.start)]
             halves += [Tile(self.engine.transposed(values), cols.start, block.start)] if mirrored else []
-            for view, lens in seen.items():
-                for half in halves:
-                    pairs = self.engine.count(half, lens, targets[view], near, kept[view].counts)
-                    sweeps = (places, orders) if view in swept else None
-                    self._wait(kept[view], pairs, view, looks[view], sweeps)
-                    if view in swept:
-                        self.engine.sweep(half, lens, targets[view], places, orders, kept[view].counts)
-                    if options.retrieve:
-                        self.engine.top(half, lens, near, *kept[view].top)
+            for view, pairs in itertools.chain.from_iterable(self._in_views(half, seen, count) for half in halves):
+                self._wait(kept[view], pairs, view, looks[view], (places, orders) if view in swept else None)
         self._pairs += n * len(pool) * len(self.transforms)
         found = {}
         for view, lens in seen.items():
@@ -291,20 +300,40 @@ class _Pass:
         terms, kind = self.engine.product_kind.terms, self.options.similarity
         left = terms(ours.descriptors, np.sqrt(ours.squared))[0]
         right = terms(theirs.descriptors, np.sqrt(theirs.squared))[1]
-        return {
-            view: lenses.lens(self.views[view], columns[view], kind, (left, right), self._limits[view])
-            for view in self.transforms
-        }
+        found: dict[str, Lens] = {}
+        for view in self.transforms:
+            before = next(reversed(found.values()), None)
+            limit = self._limits[view]
+            found[view] = lenses.lens(self.views[view], columns[view], kind, (left, right), limit, before)
+        return found
+
+    def _in_views(
+        self, tile: Tile, seen: Mapping[str, Lens], count: Callable[[str, Lens, Tile], np.ndarray]
+    ) -> Iterator[tuple[str, np.ndarray]]:
+        """Count in a tile as each view shows it, and yield the pairs in doubt."""
+
+        def work(piece: Tile) -> list[np.ndarray]:
+            found, shown = [], piece
+            for view, lens in seen.items():
+                shown = self.engine.shown(shown if lens.shared else piece, lens)
+                found.append(count(view, lens, shown))
+            return found
+
+        # What several views show of a piece is to stay in the cache of a core.
+        largest = len(tile.values) if len(seen) == 1 else max(1, _PIECE // tile.values.shape[1])
+        yield from zip(
+            seen, map(np.concatenate, zip(*self.engine.in_pieces(tile, work, largest), strict=True)), strict=True
+        )
 
     def _wait(
-        self, kept: _Kept, pairs: np.ndarray, view: str, looks: Looks, sweeps: tuple[Places, np.ndarray] | None
+        self, kept: _Kept, pairs: np.ndarray, view: str, looks: Looks, sweeps: tuple[Places, Orders] | None
     ) -> None:
         """Keep pairs for their second look, which many take together."""
         kept.pending.append(pairs)
         if sum(map(len, kept.pending)) > _PENDING:
             self._decide(kept, view, looks, sweeps)
 
-    def _decide(self, kept: _Kept, view: str, looks: Looks, sweeps: tuple[Places, np.ndarray] | None) -> None:
+    def _decide(self, kept: _Kept, view: str, looks: Looks, sweeps: tuple[Places, Orders] | None) -> None:
         """Decide the pairs that wait, and count them."""
         pairs = np.concatenate([np.zeros((0, 2), np.int64), *kept.pending])
         kept.pending.clear()
