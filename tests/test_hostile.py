@@ -15,7 +15,7 @@ from conftest import DRIVE, HOG, artifact, copy_book, tiny_manifest, write_drive
 from released import running
 
 from artifact import datasets, manifest, store
-from artifact.commands import cli
+from artifact.commands import arguments, cli
 from artifact.datasets import download
 from artifact.datasets.download import DownloadError
 from artifact.extraction import extract
@@ -204,7 +204,7 @@ def test_yaml_tags_run_nothing_wherever_yaml_is_read(project, tag, capsys):
     with pytest.raises(ManifestError):
         own.dataset(str(folder))
     with pytest.raises(Exception, match="not valid YAML"):
-        cli.asked_parameters([f"k={hostile}"])
+        arguments.asked_parameters([f"k={hostile}"])
     assert not ran.exists()
 
 

@@ -16,7 +16,8 @@ from conftest import REPOSITORY, artifact, real_data_root, tiny_manifest, write_
 from PIL import Image
 
 from artifact import INLP, LEACE, STD, datasets, evaluate, manifest, split
-from artifact.commands.cli import assignments, main
+from artifact.commands.arguments import assignments
+from artifact.commands.cli import main
 from artifact.datasets import DatasetError
 from artifact.datasets.arrays import Descriptors, read_descriptors, read_positions, read_threshold
 from artifact.datasets.images import UnreadableImageError, read_image

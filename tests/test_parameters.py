@@ -1,5 +1,6 @@
 """Unknown or invalid parameters are errors before anything runs."""
 
+import argparse
 import ast
 import re
 import warnings
@@ -12,7 +13,8 @@ from conftest import REPOSITORY
 from artifact import manifest
 from artifact.book import parameters
 from artifact.book.parameters import ParameterError
-from artifact.commands.cli import asked_parameters
+from artifact.commands import arguments, cli
+from artifact.commands.arguments import asked_parameters
 from artifact.pages.scope import open_page
 
 NOTEBOOK = """
@@ -238,3 +240,15 @@ def test_every_notebook_hands_all_its_parameters_to_its_page():
         handed += [keyword.arg for keyword in opened.keywords if keyword.arg == ast.unparse(keyword.value)]
         assert handed == list(parameters.read(path)), path.name
         assert ast.unparse(named["pages.provenance.provenance"].args[0]) == "page", path.name
+
+
+def test_every_command_that_is_read_is_carried_out():
+    def commands(parser):
+        for action in parser._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                for sub in action.choices.values():
+                    yield sub.get_default("command")
+                    yield from commands(sub)
+
+    with_actions = {"results", "suppress"}  # commands that are nothing without one
+    assert set(commands(arguments.parser())) - with_actions == set(cli._COMMANDS)

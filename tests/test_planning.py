@@ -180,7 +180,7 @@ def test_totals_say_when_something_is_unknown():
         ExtractionCost("a", "y", 5, 1, None, 10**9, None, ("not timed: because",)),
     ]
     total = plan.table(found)[-1].split()
-    assert total == ["total", "15", "3", "over", "1", "min", "0", "s", "2.0", "GB", "1.0", "GB"]
+    assert total == ["total", "15", "3", "over", "1", "min", "0", "s", "2", "GB", "1", "GB"]
     assert "?" in plan.table(found)[2]
     assert plan.table(found)[2].endswith("not timed: because")
 
@@ -232,7 +232,7 @@ def test_a_trial_that_cannot_end_well_says_why(monkeypatch):
     trial = timing.time_method("anyloc", paper, (480, 640), CPU)
     assert trial.forward is None
     assert trial.note.startswith("not timed: it needs at least 5.")
-    assert trial.note.endswith("GB of memory, 5.0 GB are free")
+    assert trial.note.endswith("GB of memory, 5 GB are free")
 
 
 def broken():
@@ -410,7 +410,7 @@ def test_what_will_not_fit_is_said(project, quick, rated, monkeypatch):
     monkeypatch.setattr(timing, "available_memory", lambda: 6e8)
     loaded = manifest.load(project / "data_manifest.yaml")
     lines = list(plan.run_lines(loaded, "demo"))
-    assert "will not fit: hog × street × extraction: 2.0 GB of memory needed, 600.0 MB there" in lines
+    assert "will not fit: hog × street × extraction: 2 GB of memory needed, 600 MB there" in lines
     assert any(line.startswith("will not fit: thumbnail × street × ranking: ") for line in lines)
     pairs = [
         costs.PairCost(name, "d", (costs.Step("extraction", 1.0, 0, size),))
