@@ -20,7 +20,7 @@ import pytest
 from conftest import DRIVE, artifact, copy_book, tiny_manifest, write_drive, write_manifest
 
 from artifact import manifest
-from artifact.book import runner
+from artifact.book import notebooks
 from artifact.commands import cluster, jobs, workers
 from artifact.commands.jobs import Job
 from artifact.commands.simulate import schedule
@@ -64,7 +64,7 @@ def project(laid_out, tmp_path):
 
 def graph_of(project):
     loaded = manifest.load(project / "data_manifest.yaml")
-    return loaded, jobs.graph(loaded, runner.plan(loaded, "demo"))
+    return loaded, jobs.graph(loaded, notebooks.plan(loaded, "demo"))
 
 
 def results(project):
@@ -292,7 +292,7 @@ def test_a_scheduler_that_is_lost_is_one_line_and_running_again_goes_on(slow):
         started.append(start("worker", "--nthreads", "1", "--no-nanny", "--no-dashboard"))
         address = json.loads(file.read_text())["address"]
         loaded = manifest.load(slow / "data_manifest.yaml")
-        tasks = [runner.Task(Path("extract"), {}, ("drive",), ("hog",))]
+        tasks = [notebooks.Task(Path("extract"), {}, ("drive",), ("hog",))]
         threading.Thread(target=lambda: wait_for(lambda: parts_of(slow)) and started[0].kill(), daemon=True).start()
         with pytest.raises(cluster.ClusterError, match="the scheduler is gone .*; what is finished stays, run again"):
             list(cluster.lines(address, loaded, tasks))

@@ -11,7 +11,7 @@ import pytest
 from jupyter_client import AsyncKernelManager
 
 from artifact import store
-from artifact.book import runner
+from artifact.book import notebooks, runner
 from artifact.extraction.parts import Parts, assemble
 from artifact.manifest import Manifest
 
@@ -196,7 +196,7 @@ def test_parts_become_one_file_or_none(folder, power):
 @both
 def test_a_notebook_counts_only_when_it_is_whole(folder, power, monkeypatch):
     manifest = Manifest(folder / "data_manifest.yaml", folder, {}, {}, {})
-    task, runs = runner.Task(folder / "page.py", {}, (), ()), []
+    task, runs = notebooks.Task(folder / "page.py", {}, (), ()), []
 
     def execute(task, path, manager):
         runs.append(path)

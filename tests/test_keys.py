@@ -13,7 +13,7 @@ import synthetic
 from conftest import HOG, REPOSITORY
 
 from artifact import datasets, methods, suppression
-from artifact.book import runner
+from artifact.book import notebooks, runner
 from artifact.datasets import appearance
 from artifact.datasets.traversal import Traversal
 from artifact.extraction import described as stage
@@ -336,7 +336,7 @@ def test_statistics_of_images_are_those_of_their_content_and_code(monkeypatch):
 def test_every_input_of_a_notebook_is_in_its_key(world, tmp_path):
     manifest, source = world["manifest"], tmp_path / "page.py"
     source.write_text((REPOSITORY / "notebooks" / "tab03.py").read_text())
-    task = runner.Task(source, {"k": 1}, ("made",), (synthetic.METHOD,))
+    task = notebooks.Task(source, {"k": 1}, ("made",), (synthetic.METHOD,))
     shared, prints = {"sources": "a", "versions": "b"}, {"made": ["x"], "other": ["x"]}
     base = runner._key(manifest, task, shared, prints)
     assert runner._key(manifest, task, dict(shared), dict(prints)) == base

@@ -18,7 +18,7 @@ from torch import nn
 from torch.nn import functional
 
 from artifact import INLP, LEACE, datasets, manifest, methods, store, studies
-from artifact.book.runner import Task
+from artifact.book.notebooks import Task
 from artifact.commands import jobs, verify
 from artifact.datasets.images import read_image
 from artifact.extraction import extract, parts

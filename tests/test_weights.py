@@ -22,7 +22,7 @@ from filled_weights import filled, images
 from released import Aggregated, Tiny, entry_of, equal, names_in, packed, put, running, state_of
 
 from artifact import datasets, manifest, methods, store
-from artifact.book import runner
+from artifact.book import notebooks
 from artifact.commands import cli, verify
 from artifact.datasets import download
 from artifact.extraction import extract
@@ -473,9 +473,9 @@ def project_with(tmp_path, server, *states):
 def test_descriptors_are_made_with_the_weights_and_stay_readable_without(tmp_path, server):
     loaded = manifest.load(project_with(tmp_path, server, state_of(1), state_of(2)))
     day = datasets.load_traversal(loaded, "street", "day")
-    task = runner.Task(tmp_path / "a.py", {}, ("street",), ("thumbnail", "tiny0", "tiny1"))
+    task = notebooks.Task(tmp_path / "a.py", {}, ("street",), ("thumbnail", "tiny0", "tiny1"))
     with pytest.raises(WeightsError) as caught:
-        runner.prepare(loaded, [task])
+        notebooks.prepare(loaded, [task])
     assert re.findall(r"(\w+): the weights \S+ are missing", str(caught.value)) == ["tiny0", "tiny1"]
     assert str(caught.value).count("make data PROFILE=paper") == 1
     assert not (tmp_path / ".cache" / "descriptors" / "thumbnail").exists(), "nothing was extracted before"

@@ -11,7 +11,8 @@ from typing import Any
 
 from artifact import datasets, pages, store
 from artifact.book.build import executed_folder, source_folder
-from artifact.book.runner import Outcome, Task, datasets_of, load_all, pairs_of
+from artifact.book.notebooks import Task, datasets_of, load_all, pairs_of
+from artifact.book.runner import Outcome
 from artifact.datasets import imported
 from artifact.extraction import extract
 from artifact.manifest import Manifest

@@ -112,20 +112,22 @@ def _manifest(options: argparse.Namespace, *, make: bool = True) -> Any:
 
 def _run(options: argparse.Namespace, *, book: bool = False) -> None:
     from artifact import store
-    from artifact.book import build, runner, stages, status
+    from artifact.book import build, notebooks, runner, stages, status
     from artifact.commands import data, verify
 
     manifest = _manifest(options)
     store.sweep(manifest.cache)
     asked = asked_parameters([*options.parameter, *assignments(options.set)])
-    tasks = runner.with_what_is_here(manifest, runner.plan(manifest, options.profile, only=options.only, asked=asked))
+    tasks = notebooks.with_what_is_here(
+        manifest, notebooks.plan(manifest, options.profile, only=options.only, asked=asked)
+    )
     data.require(manifest, tasks)
     if options.check_images:
-        _print(verify.changed_files(manifest, runner.datasets_of(tasks)))
+        _print(verify.changed_files(manifest, notebooks.datasets_of(tasks)))
     with stages.measured() as reported:
         with store.stage("preparation"):
             _on_cluster(options, manifest, tasks)
-            runner.prepare(manifest, tasks)
+            notebooks.prepare(manifest, tasks)
         with build.alone(manifest):
             executed = build.executed_folder(manifest)
             with store.stage("notebooks"):
@@ -174,7 +176,7 @@ def _data_status(options: argparse.Namespace) -> None:
 
 def _data(options: argparse.Namespace) -> int:
     from artifact import datasets
-    from artifact.book import runner
+    from artifact.book import notebooks
 
     manifest = _manifest(options)
     if options.dataset:
@@ -182,7 +184,7 @@ def _data(options: argparse.Namespace) -> int:
     missing = 0
     for name in manifest.profile(options.profile).datasets:
         try:
-            traversals = runner.load_all(manifest, name)
+            traversals = notebooks.load_all(manifest, name)
         except datasets.DatasetError as error:
             missing += 1
             sys.stdout.write(f"{name}: missing\n{error}\n")
@@ -237,7 +239,7 @@ def _fetch_weights(manifest: Any, profile: str) -> int:
 
 
 def _extract(options: argparse.Namespace) -> None:
-    from artifact.book import runner
+    from artifact.book import notebooks
     from artifact.commands import data, plan, ship, verify
     from artifact.extraction import extract
     from artifact.methods import weights
@@ -250,11 +252,11 @@ def _extract(options: argparse.Namespace) -> None:
     if options.dry_run:
         _print(plan.lines(manifest, options.profile, **how))
         return
-    described = runner.Task(Path("extract"), {}, tuple(profile.datasets), tuple(profile.methods))
+    described = notebooks.Task(Path("extract"), {}, tuple(profile.datasets), tuple(profile.methods))
     data.require(manifest, [described])
     if options.check_images:
         _print(verify.changed_files(manifest, profile.datasets))
-    traversals = [traversal for name in profile.datasets for traversal in runner.load_all(manifest, name)]
+    traversals = [traversal for name in profile.datasets for traversal in notebooks.load_all(manifest, name)]
     weights.require({name: manifest.method(name) for name in profile.methods})
     extract.check_disk(manifest, traversals, profile.methods)
     if not options.devices:

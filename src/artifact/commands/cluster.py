@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from tqdm import tqdm
 
 from artifact import store
-from artifact.book.runner import Task
+from artifact.book.notebooks import Task
 from artifact.commands import jobs
 from artifact.commands.jobs import Job
 from artifact.commands.plan import duration

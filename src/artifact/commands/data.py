@@ -14,7 +14,7 @@ from artifact.datasets.disk import in_words
 from artifact.manifest import Manifest
 
 if TYPE_CHECKING:
-    from artifact.book.runner import Task
+    from artifact.book.notebooks import Task
 
 _WIDTHS = (13, 12, 15, 16, 30, 58)  # characters of the columns
 _HEAD = ("dataset", "state", "images", "files", "licence", "how to get it")

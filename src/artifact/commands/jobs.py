@@ -18,8 +18,8 @@ from itertools import product
 from typing import Any, NamedTuple
 
 from artifact import datasets, methods, studies
-from artifact.book import runner
-from artifact.book.runner import Task
+from artifact.book import notebooks
+from artifact.book.notebooks import Task
 from artifact.commands.costs import PairCost, pair_cost, sizes
 from artifact.datasets import Traversal
 from artifact.extraction import extract
@@ -101,13 +101,13 @@ def graph(manifest: Manifest, tasks: Sequence[Task], *, precision: str = "float3
     Parameters
     ----------
     manifest, tasks
-        The pages of the run, as from :func:`artifact.book.runner.plan`.
+        The pages of the run, as from :func:`artifact.book.notebooks.plan`.
     precision
         Of the descriptors; results of pages are of ``"float32"``.
     """
     found: dict[str, Job] = {}
     traversals: dict[str, dict[str, int]] = {}
-    loaded = runner.check(manifest, tasks)
+    loaded = notebooks.check(manifest, tasks)
     for (name, method), here in loaded.items():
         traversals[name] = {traversal.name: len(traversal) for traversal in here}
         for traversal in here:
@@ -139,7 +139,7 @@ def planned(
 
     ``images`` are the numbers of images of the traversals of each dataset, as far as they are known.
     """
-    pairs = runner.pairs_of(tasks)
+    pairs = notebooks.pairs_of(tasks)
     found: dict[str, Job] = {}
     for name, method in pairs:
         first = next(other for other in methods.of_trunk(manifest, method) if (name, other) in pairs)

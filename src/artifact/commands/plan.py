@@ -15,7 +15,7 @@ import pandas as pd
 import torch
 from tqdm import tqdm
 
-from artifact.book import runner
+from artifact.book import notebooks
 from artifact.commands import costs, jobs, probes
 from artifact.commands.costs import STEPS, PairCost
 from artifact.commands.jobs import Job
@@ -98,7 +98,7 @@ def planned_jobs(manifest: Manifest, profile: str, *, device: str | None = None)
     """
     _, images, pairs = _measured(manifest, profile, forward.devices(device)[:1])  # each job runs on one
     known = {name: {traversal: n for traversal, n in numbers.items() if n} for name, numbers in images.items()}
-    return jobs.planned(manifest, runner.plan(manifest, profile), known, pairs)
+    return jobs.planned(manifest, notebooks.plan(manifest, profile), known, pairs)
 
 
 def job_lines(graph: Sequence[Job]) -> Iterator[str]:

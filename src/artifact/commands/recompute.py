@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from artifact.book import runner, stages
+from artifact.book import notebooks, stages
 from artifact.commands import jobs
 from artifact.commands.jobs import Job
 from artifact.extraction import extract, made
@@ -49,7 +49,7 @@ def lines(manifest: Manifest, profile: str, asked: str) -> Iterator[tuple[str, b
     dataset, method = _pair(manifest, profile, asked)
     tasks = [
         replace(task, datasets=(dataset,), methods=(method,))
-        for task in runner.plan(manifest, profile)
+        for task in notebooks.plan(manifest, profile)
         if dataset in task.datasets and method in task.methods
     ]
     with tempfile.TemporaryDirectory(prefix="artifact-") as folder:
@@ -58,9 +58,9 @@ def lines(manifest: Manifest, profile: str, asked: str) -> Iterator[tuple[str, b
             if anew.profile(profile).made:
                 made.make(anew, profile)
             else:
-                for traversal in runner.load_all(anew, dataset):
+                for traversal in notebooks.load_all(anew, dataset):
                     traversal.image_paths()
-            runner.prepare(anew, tasks)
+            notebooks.prepare(anew, tasks)
             there = _digests(anew, dataset, method)
         here = _digests(manifest, dataset, method)
         for name, digest in here.items():
@@ -89,7 +89,7 @@ def _pair(manifest: Manifest, profile: str, asked: str) -> tuple[str, str]:
 
 
 def _digests(manifest: Manifest, dataset: str, method: str) -> dict[str, str]:
-    loaded = runner.load_all(manifest, dataset)
+    loaded = notebooks.load_all(manifest, dataset)
     return {one.name: extract.descriptors(manifest, one, method).sha256 for one in loaded}
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from artifact import methods, store, suppression
-from artifact.book import runner
+from artifact.book import notebooks, runner
 from artifact.datasets import Traversal, appearance, imported
 from artifact.datasets.disk import free_bytes, in_words
 from artifact.datasets.imported import Bundle, DescriptorRecord, Digest, File, Sidecar, TraversalRecord, read_record
@@ -103,10 +103,10 @@ def export(manifest: Manifest, profile: str, target: Path) -> Iterator[str]:
     StoreError
         If a stored result is damaged or gone, or the file cannot be written.
     """
-    tasks = runner.plan(manifest, profile)
+    tasks = notebooks.plan(manifest, profile)
     results = runner.results_read(manifest, tasks)
-    pairs, names = runner.pairs_of(tasks), runner.datasets_of(tasks)
-    traversals = {name: runner.load_all(manifest, name) for name in names}
+    pairs, names = notebooks.pairs_of(tasks), notebooks.datasets_of(tasks)
+    traversals = {name: notebooks.load_all(manifest, name) for name in names}
     keys = [appearance.appearance_key(traversal) for loaded in traversals.values() for traversal in loaded]
     paths = [appearance.stored_path(manifest.cache, key) for key in keys]
     measured = [path.relative_to(manifest.cache).as_posix() for path in paths if path.exists()]

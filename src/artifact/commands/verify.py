@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from artifact import datasets, store
-from artifact.book import runner
+from artifact.book import notebooks
 from artifact.book.build import executed_folder, source_folder
 from artifact.datasets import shipped
 from artifact.manifest import Manifest
@@ -108,7 +108,7 @@ def changed_files(manifest: Manifest, names: Iterable[str]) -> list[str]:
     for name in names:
         if datasets.describe_missing(manifest, name):
             continue
-        for traversal in runner.load_all(manifest, name):
+        for traversal in notebooks.load_all(manifest, name):
             given = [*traversal.descriptors.values(), *traversal.second_stage.values()]
             files = [one.path for one in given if one.path is not None]
             if traversal.has_images:
