@@ -94,6 +94,9 @@ def check_against_oracle(case, device):
         limits = [case.threshold, case.threshold + 3, case.threshold + 9, np.inf]
         expected = [share(ranks(case, beyond=limit), k) for limit in limits]
         np.testing.assert_allclose(result.dar_by_distance(limits, k), expected)
+        hits = result.hits_by_distance(limits, k)
+        np.testing.assert_array_equal(hits.mean(axis=0), result.dar_by_distance(limits, k))
+        assert k > 1 or np.array_equal(hits, result.hits_by_distance(limits)), "K = 1 if nothing else is said"
         ratios = [0.0, 0.3, 0.5, 1.0]
         orders = one_pass.draw_orders(result.n_distractors, one_pass.Options(draws=2))
         for draw, row in zip(orders.T, result.dar_by_ratio_draws(ratios, k), strict=True):

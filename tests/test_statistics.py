@@ -69,6 +69,13 @@ def test_the_interval_holds_the_value_and_stays_between_0_and_1():
         assert 0 <= found.low <= found.value <= found.high <= 1
 
 
+def test_a_95_percent_interval_leaves_a_fortieth_of_the_replicates_on_each_side():
+    sample = np.random.default_rng(0).permutation(np.arange(2001.0))
+    np.testing.assert_allclose(ends(np.stack([sample, -sample])), [[50, -1950], [1950, -50]])
+    np.testing.assert_allclose(ends(np.append(sample, np.nan)), [50, 1950], err_msg="of those that are defined")
+    assert np.isnan(ends(np.full(5, np.nan))).all()
+
+
 def correlated(n, sets, seed):
     """Paired differences of hits of two methods, ``(n, sets)``: both see the same hard stretches; truth is ``SHIFT``."""
     rng, window = np.random.default_rng(seed), np.hanning(REACH + 2)[1:-1]

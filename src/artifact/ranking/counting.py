@@ -99,15 +99,15 @@ class Counts(NamedTuple):
     top_index: np.ndarray
 
     @classmethod
-    def empty(cls, n: int, depth: int, draws: int, top: int) -> Counts:
-        """Return counts of nothing for ``n`` queries."""
+    def empty(cls, n: int, depth: int, draws: int) -> Counts:
+        """Return counts of nothing for ``n`` queries, without lists."""
         return cls(
             outranking=np.zeros(n, np.int64),
             ties=np.zeros(n, np.int64),
             farthest=np.full((n, depth), -np.inf),
             first=np.full((n, depth, draws), np.iinfo(np.int32).max, np.int32),
-            top_similarity=np.full((n, top), -np.inf, np.float32),
-            top_index=np.full((n, top), -1, np.int64),
+            top_similarity=np.empty((n, 0), np.float32),
+            top_index=np.empty((n, 0), np.int64),
         )
 
 

@@ -219,7 +219,7 @@ class _Pass:
             self._limits[view] = lenses.limits(self.views[view], columns[view], options.similarity)
         seen = self._lenses(columns)
         none = Groups(np.zeros(n + 1, np.int64), np.zeros(0, np.int64))
-        kept = {view: _Kept(Counts.empty(n, options.depth, 0, 0), n, options.retrieve) for view in self.transforms}
+        kept = {view: _Kept(Counts.empty(n, options.depth, 0), n, options.retrieve) for view in self.transforms}
         step = max(1, min(_LARGEST_ROWS, options.memory // (4 * len(database))))
         for block in _blocks(n, step):
             values = self.engine.product(self.queries.descriptors, block, database.descriptors, everything)
@@ -263,7 +263,7 @@ class _Pass:
         swept = {view for view in self.transforms if view == ORIGINAL or options.view_sweeps or options.retrieve}
         lists = options.depth, options.draws
         kept = {
-            view: _Kept(Counts.empty(n, *(lists if view in swept else (0, 0)), 0), n, options.retrieve)
+            view: _Kept(Counts.empty(n, *(lists if view in swept else (0, 0))), n, options.retrieve)
             for view in self.transforms
         }
 
