@@ -479,6 +479,16 @@ def test_mutual_nearest_features_within_any_memory(device, memory, monkeypatch):
     assert np.abs(half - expected).max() <= 3, "rounding moves a few matches"
 
 
+@pytest.mark.parametrize("there", [False, True])
+def test_features_are_matched_by_a_device_if_it_is_asked_for_or_there(there, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: there)
+    on_processor = {
+        device: LocalMatcher(device=device)._backend() == (matching._features, matching._match_on_cpu)
+        for device in (None, "cpu", "cuda")
+    }
+    assert on_processor == {None: not there, "cpu": True, "cuda": False}
+
+
 def test_a_single_match_counts_as_none_as_in_the_authors_code():
     query = np.array([[[1.0, 0.0]]], np.float32)
     for device in ("cpu", torch.device("cpu", 0)):

@@ -1,5 +1,7 @@
 """Intervals that know that neighbours succeed and fail together."""
 
+import types
+
 import numpy as np
 import pytest
 from scipy.stats import kendalltau, norm
@@ -74,6 +76,20 @@ def test_a_95_percent_interval_leaves_a_fortieth_of_the_replicates_on_each_side(
     np.testing.assert_allclose(ends(np.stack([sample, -sample])), [[50, -1950], [1950, -50]])
     np.testing.assert_allclose(ends(np.append(sample, np.nan)), [50, 1950], err_msg="of those that are defined")
     assert np.isnan(ends(np.full(5, np.nan))).all()
+
+
+def test_the_interval_of_rsr_is_of_the_resamples_in_which_anything_is_found():
+    hits = np.zeros((12, 2))
+    hits[:6, 0] = hits[8] = 1
+    result = types.SimpleNamespace(
+        hits=lambda k, distractors: hits[:, int(distractors)],
+        query_positions=np.arange(12.0)[:, None] * 10,
+        threshold=15.0,
+        recall=lambda k: 7 / 12,
+        dar=lambda k: 1 / 12,
+        rsr=lambda k: 1 / 7,
+    )
+    assert np.isfinite(intervals(result)["RSR"]).all()
 
 
 def correlated(n, sets, seed):
