@@ -17,6 +17,7 @@ from artifact.metrics.evaluation import Evaluation
 from artifact.metrics.result import QUERY_POOL, Result
 from artifact.metrics.two_stage import TwoStageEvaluation
 from artifact.ranking import one_pass
+from artifact.ranking.engines import CpuEngine
 from artifact.suppression.lowrank import LowRankMap
 
 
@@ -427,3 +428,25 @@ def test_k_is_1_if_nothing_else_is_said(kind):
     given = [inspect.signature(function).parameters.get("k") for function in methods]
     defaults = {k.default for k in given if k is not None and k.default is not inspect.Parameter.empty}
     assert defaults == {1}
+
+
+def test_tiles_keep_to_the_memory_that_they_may_take(monkeypatch):
+    product, taken, memory = CpuEngine.product, [], 4 * 40 * 7
+
+    def recorded(*arguments):
+        found = product(*arguments)
+        taken.append(found.nbytes)
+        return found
+
+    monkeypatch.setattr(CpuEngine, "product", recorded)
+    rng = np.random.default_rng(0)
+    queries, database = (
+        one_pass.ImageSet(rng.standard_normal((n, 8), dtype=np.float32), np.arange(n)[:, None] / 1.0) for n in (50, 40)
+    )
+    options = one_pass.Options(memory=memory, device="cpu")
+    found = one_pass.rank(queries, database, 2.0, {"queries": None}, None, options)
+    assert memory / 4 < max(taken) <= memory
+    whole = one_pass.rank(queries, database, 2.0, {"queries": None}, None, one_pass.Options(device="cpu"))
+    np.testing.assert_array_equal(
+        found.pools[one_pass.ORIGINAL, "queries"].outranking, whole.pools[one_pass.ORIGINAL, "queries"].outranking
+    )
