@@ -68,10 +68,10 @@ def graph_of(project):
 
 
 def results(project):
-    """All stored descriptors, as bytes, and the arrays of all stored results."""
+    """All stored descriptors, as bytes, and the arrays of all stored results; nothing that a killed process left."""
     cache = project / ".cache"
-    found = {path.relative_to(cache): path.read_bytes() for path in (cache / "descriptors").rglob("*.npy")}
-    for path in (cache / "rankings").glob("*.npz"):
+    found = {path.relative_to(cache): path.read_bytes() for path in (cache / "descriptors").rglob("[!.]*.npy")}
+    for path in (cache / "rankings").glob("[!.]*.npz"):
         with np.load(path) as arrays:
             found |= {path.relative_to(cache) / name: arrays[name] for name in arrays.files}
     return found
