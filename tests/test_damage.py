@@ -65,6 +65,16 @@ def test_repair_makes_again_what_is_damaged_and_what_was_made_from_it(two_street
     assert verify.verify(loaded, "demo")[1] == 0
 
 
+def test_what_a_killed_run_left_half_written_is_no_damage(two_streets):
+    loaded, _ = two_streets
+    number = verify.look_at(loaded.cache)[0]
+    left = [loaded.cache / "rankings" / ".0a1b.json.x1y2.tmp.json", loaded.cache / "results" / ".z.partial" / "b.json"]
+    for path in left:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text('{"half": ')
+    assert verify.look_at(loaded.cache) == (number, [])
+
+
 @pytest.mark.parametrize("kind", ["descriptors", "rankings", "appearance", "digests"])
 @pytest.mark.parametrize("record", [False, True])
 def test_damage_of_every_kind_is_found_by_verify_and_changes_no_number(two_streets, monkeypatch, kind, record):

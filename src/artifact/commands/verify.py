@@ -85,9 +85,14 @@ def look_at(folder: Path) -> tuple[int, list[Damaged]]:
 
 
 def _records(folders: Iterable[Path]) -> Iterator[tuple[Path, list[Path]]]:
-    """Yield every JSON file below some folders, with the folder or the files that it is the record of, if any."""
+    """Yield every JSON file below some folders, with the folder or the files that it is the record of, if any.
+
+    Hidden files and folders are what is being written, or what a killed run left of it: no result.
+    """
     for folder in folders:
-        for place in sorted(folder.rglob("*.json")):
+        for place in sorted(folder.rglob("[!.]*.json")):
+            if any(part.startswith(".") for part in place.relative_to(folder).parts):
+                continue
             beside = [path for ending in _ENDINGS if (path := place.with_suffix(ending)).exists()]
             yield place, [place.parent] if place == store.record_path(place.parent) else beside
 
