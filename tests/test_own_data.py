@@ -459,8 +459,9 @@ def test_arrays_that_are_no_positions_are_refused(tmp_path, array, message):
         read_positions(tmp_path / "p.npy", Descriptors(np.zeros((2, 2), np.float32), None), "queries")
 
 
-def test_a_damaged_array_of_positions_is_one_line(tmp_path):
-    (tmp_path / "p.npy").write_bytes(b"")
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04"])
+def test_a_damaged_array_of_positions_is_one_line(tmp_path, content):
+    (tmp_path / "p.npy").write_bytes(content)
     with pytest.raises(DatasetError, match="p.npy: cannot be read as a NumPy array"):
         read_positions(tmp_path / "p.npy", Descriptors(np.zeros((2, 2), np.float32), None), "queries")
 

@@ -171,6 +171,10 @@ def another_shape(path):
     np.save(path, np.zeros((4, 3), np.float32))
 
 
+def start_of_an_archive(path):
+    path.write_bytes(b"PK\x03\x04")
+
+
 def without_record(path):
     path.with_suffix(".json").write_text("")
 
@@ -179,7 +183,7 @@ def record_of_something_else(path):
     path.with_suffix(".json").write_text("[1, 2]")
 
 
-DAMAGES = [emptied, cut, changed, another_shape, without_record]
+DAMAGES = [emptied, cut, changed, another_shape, start_of_an_archive, without_record]
 
 
 @pytest.mark.parametrize("damage", DAMAGES)

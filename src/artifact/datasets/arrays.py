@@ -127,7 +127,7 @@ def _from_hdf5(path: Path) -> Descriptors:
 
 
 _READERS = {
-    ".npy": lambda path: Descriptors(np.load(path, mmap_mode="r", allow_pickle=False), None),
+    ".npy": lambda path: Descriptors(np.lib.format.open_memmap(path, mode="r"), None),
     ".npz": _from_npz,
     ".safetensors": lambda path: Descriptors(_chosen(path, load_file(path)), None),
     ".h5": _from_hdf5,
@@ -181,7 +181,7 @@ def _from_names(where: Path, names: list[str]) -> Located:
 
 def _from_array(source: Path, n: int, label: str) -> np.ndarray:
     try:
-        array = np.load(source, allow_pickle=False)
+        array = np.lib.format.open_memmap(source, mode="r")
     except (OSError, ValueError, EOFError) as error:
         raise DatasetError(f"{source}: cannot be read as a NumPy array ({error})") from None
     if array.ndim not in (1, 2) or array.dtype.kind not in "iuf":

@@ -239,7 +239,7 @@ def _rows_of(manifest: Manifest, traversal: Traversal, method: str, file: Given)
     if store.digest_of_file(file.path) != file.sha256:
         raise DatasetError(f"{file.path}: {CHANGED}")
     try:
-        values = np.load(file.path, mmap_mode="r", allow_pickle=False)
+        values = np.lib.format.open_memmap(file.path, mode="r")
     except (OSError, ValueError, EOFError) as error:
         raise DatasetError(f"{file.path}: cannot be read as a NumPy array ({error})") from None
     if len(values) != len(traversal):
@@ -250,7 +250,7 @@ def _rows_of(manifest: Manifest, traversal: Traversal, method: str, file: Given)
 
 
 def _read(path: Path, record: dict[str, Any], source: str) -> Descriptors:
-    values = np.load(path, mmap_mode="r", allow_pickle=False)
+    values = np.lib.format.open_memmap(path, mode="r")
     return Descriptors(values.astype(np.float32, copy=False), record["key"], record["sha256"], source, record)
 
 

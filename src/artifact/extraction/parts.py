@@ -121,7 +121,7 @@ class Parts:
         path = self.path(number)
         for _ in range(_ATTEMPTS):
             if self.has(number) and store.find(path, self.key) is not None:
-                return np.load(path, mmap_mode="r", allow_pickle=False)
+                return np.lib.format.open_memmap(path, mode="r")
             make()
         raise store.StoreError(f"{path}: missing or damaged again as soon as it is made; check the disk it is on")
 
@@ -145,7 +145,7 @@ class Parts:
             return _ABSENT
         try:
             record = self.record(number)
-            values = np.load(path, mmap_mode="r", allow_pickle=False)
+            values = np.lib.format.open_memmap(path, mode="r")
         except (store.StoreError, OSError, ValueError, EOFError):
             return "the file or its record is damaged"
         if not isinstance(record, dict) or record.get("key") != self.key:
