@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 import time
 
@@ -68,8 +69,33 @@ def test_nothing_is_left_and_a_server_that_died_is_told(tmp_path):
             answers(manager, tmp_path, "1")
     with kernels.forked() as manager:
         parent, own = answers(manager, tmp_path, "import os; print(os.getppid())", "print(os.getpid())")
-    for pid in (int(parent), int(own)):
-        deadline = time.monotonic() + 10
+    assert_ended(int(parent), int(own))
+
+
+def assert_ended(*processes):
+    for pid in processes:
+        deadline = time.monotonic() + 20
         while os.path.exists(f"/proc/{pid}") and time.monotonic() < deadline:
             time.sleep(0.05)
         assert not os.path.exists(f"/proc/{pid}")
+
+
+def test_a_run_that_is_killed_leaves_no_kernel(tmp_path):
+    cell = (
+        "import os, pathlib, time; pathlib.Path('pids').write_text(f'{os.getppid()} {os.getpid()} .'); time.sleep(600)"
+    )
+    code = f"""if True:
+        import nbformat
+        from nbclient import NotebookClient
+        from artifact.book import kernels
+        notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell({cell!r})])
+        with kernels.forked() as manager:
+            NotebookClient(notebook, kernel_manager_class=manager, kernel_name="python3").execute(cwd={str(tmp_path)!r})
+    """
+    run, written = subprocess.Popen([sys.executable, "-c", code]), tmp_path / "pids"
+    while not (written.exists() and written.read_text().endswith(".")):
+        assert run.poll() is None
+        time.sleep(0.05)
+    run.kill()
+    run.wait()
+    assert_ended(*map(int, written.read_text().split()[:2]))

@@ -45,8 +45,9 @@ def main() -> None:
         os.setsid()  # a signal to its group reaches the processes that the kernel starts, and no other kernel
         os.chdir(request["folder"])
         os.environ.clear()
-        os.environ.update(request["environment"] | {"JPY_PARENT_PID": str(os.getppid())})
-        sys.argv = request["arguments"]
+        os.environ.update(request["environment"])
+        # A kernel ends with the server, also that of a run that was killed. The variable for it was read at import.
+        sys.argv = [*request["arguments"], f"--IPKernelApp.parent_handle={os.getppid()}"]
         kernelapp.launch_new_instance()
 
 
