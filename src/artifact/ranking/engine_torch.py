@@ -73,7 +73,7 @@ class TorchEngine:
     def count(self, piece: Tile, lens: Lens, target: Target, groups: Groups, counts: Counts) -> np.ndarray:
         """Do as :func:`artifact.ranking.counting.count_rows`."""
         rows, columns = self._ranges(piece)
-        line, middle, width = self._against(piece, lens, target)
+        line, (middle, width) = piece.values, self._against(piece, lens, target)
         left_out = self._members(piece, groups)
         above, below = line > middle + width, line < middle - width
         equal = self._send(target.identity[rows])[:, None] == self._send(lens.identity[columns])
@@ -85,7 +85,7 @@ class TorchEngine:
     def sweep(self, piece: Tile, lens: Lens, target: Target, places: Places, orders: Orders, counts: Counts) -> None:
         """Do as :func:`artifact.ranking.counting.sweep_rows`."""
         rows, columns = self._ranges(piece)
-        line, middle, width = self._against(piece, lens, target)
+        line, (middle, width) = piece.values, self._against(piece, lens, target)
         here, there, placed = map(self._send, (places.queries[rows], places.pool[columns], orders.place[columns]))
         squared = torch.zeros(line.shape, dtype=torch.float64, device=self._device)
         for axis in range(here.shape[1]):
@@ -122,12 +122,12 @@ class TorchEngine:
             slice(tile.first_column, tile.first_column + columns),
         )
 
-    def _against(self, tile: Tile, lens: Lens, target: Target) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return inner products, what they are compared with, and how near to it they tell nothing."""
+    def _against(self, tile: Tile, lens: Lens, target: Target) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return what inner products are compared with, and how near to it they tell nothing."""
         rows, columns = self._ranges(tile)
         level, reach = (self._send(part[rows])[:, None] for part in (target.level, lens.query_reach))
         scale, bias, reaches = (self._send(part[columns]) for part in (lens.scale, lens.bias, lens.image_reach))
-        return tile.values, level * scale + bias, reach * reaches
+        return level * scale + bias, reach * reaches
 
     def _members(self, tile: Tile, groups: Groups) -> torch.Tensor:
         """Return which images of a tile belong to its queries."""
