@@ -208,6 +208,29 @@ def test_workers_that_are_killed_cost_nothing_but_time(project, reference, clien
     assert_same(results(project), reference)
 
 
+def test_a_result_that_is_lost_with_its_worker_after_the_job_ended_is_computed_again(client):
+    def process():
+        time.sleep(1)  # that it is not there can be seen
+        return cluster.Ended(float(os.getpid()), "here")
+
+    future = client.submit(process)
+    wait_for(future.done, seconds=60)
+    first = cluster.outcome(future)
+    assert first.fault is None
+    os.kill(int(first.seconds), signal.SIGKILL)
+    wait_for(lambda: future.status != "finished", seconds=60)  # what a run can meet: it ended, and now it has not
+    again = cluster.outcome(future)
+    assert again.fault is None
+    assert again.seconds != first.seconds
+
+
+def test_a_job_that_fails_for_a_reason_that_is_not_its_own_says_the_reason(client):
+    def fails():
+        raise OSError("no space left\nsecond line")
+
+    assert cluster.outcome(client.submit(fails)) == cluster.Ended(0.0, "", "OSError: no space left")
+
+
 # -- a run that is stopped, and a scheduler that is lost -----------------------------------------------------------
 
 SLOW = """

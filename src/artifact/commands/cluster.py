@@ -121,7 +121,7 @@ def run(client: Client, manifest: Manifest, graph: Sequence[Job]) -> dict[str, E
     with tqdm(total=len(graph), unit="job", desc="jobs", disable=None, leave=False, bar_format=look) as bar:
         for future in as_completed(futures.values()):
             name = names[future.key]
-            ended[name] = future.result() if future.status == "finished" else Ended(0.0, "", _reason(future))
+            ended[name] = outcome(future)
             if time.monotonic() - told > _TOLD_EVERY and not bar.disable:
                 bar.set_postfix_str(progress(graph, ended, *_workers(client)), refresh=False)
                 told = time.monotonic()
@@ -176,10 +176,21 @@ def _resources(job: Job, offered: Mapping[str, float]) -> dict[str, float]:
     return {name: min(amount, offered[name]) for name, amount in wanted.items() if amount and name in offered}
 
 
-def _reason(future: Any) -> str:
-    error = future.exception()
-    text = str(error).strip().splitlines()
-    return f"{type(error).__name__}: {text[0] if text else ''}".rstrip(": ")
+def outcome(future: Any) -> Ended:
+    """Wait for what became of a job: a result that is lost with the worker that held it is computed again.
+
+    Raises
+    ------
+    concurrent.futures.CancelledError
+        If the scheduler is gone.
+    """
+    try:
+        return future.result()
+    except Exception as error:
+        if future.status != "error":
+            raise
+        text = str(error).strip().splitlines()
+        return Ended(0.0, "", f"{type(error).__name__}: {text[0] if text else ''}".rstrip(": "))
 
 
 def perform(job: Job, place: Place, needed: Sequence[Ended]) -> Ended:
