@@ -28,7 +28,7 @@ AREAS = {
     "store": ("store.py", ["store", "crashes", "keys"]),
     "suppression": ("suppression/*.py", ["splits", "suppressed", "suppression"]),
     "metrics": ("metrics/*.py", ["statistics", "keys", "ranking", "suppression", "rerank"]),
-    "extraction": ("extraction/*.py", ["crashes", "keys", "parts", "extract", "given", "planning", "rerank"]),
+    "extraction": ("extraction/*.py", ["crashes", "keys", "parts", "extract", "given", "rerank", "planning"]),
     "ranking": ("ranking/*.py", ["ranking", "suppression", "rerank", "exactness"]),
 }
 BINARY = [

@@ -117,6 +117,13 @@ def test_as_many_made_queries_stray_as_the_paper_leaves_out():
     assert np.linalg.norm(positions[off], axis=1).min() > 10 * np.linalg.norm(positions[~off], axis=1).max()
 
 
+def test_the_condition_of_every_made_traversal_is_as_strong(rehearsal):
+    for name in rehearsal.profile("rehearsal").datasets:
+        entry = rehearsal.dataset(name)
+        for traversal in entry.traversals:
+            assert np.linalg.norm(made._kind(entry, traversal)) == pytest.approx(1, abs=0.02), (name, traversal)
+
+
 def test_made_files_that_are_damaged_are_made_again(rehearsal, capsys):
     folder = Path(str(rehearsal.dataset("svox").root))
     described = rehearsal.dataset("svox").traversals[rehearsal.dataset("svox").query]

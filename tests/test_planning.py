@@ -218,6 +218,17 @@ def heavy():
     return light(150_000_000)
 
 
+def with_processes():
+    ended = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(0,))
+    ended.start()
+    ended.join()
+    return light()
+
+
+def test_a_model_in_a_trial_may_start_processes():
+    assert timing.time_method("own", entry_of("with_processes"), (48, 64), CPU).note == "a batch of 5"
+
+
 def test_a_trial_that_cannot_end_well_says_why(monkeypatch):
     trial = timing.time_method("own", entry_of("broken"), (48, 64), CPU)
     assert (trial.forward, trial.note) == (None, "not timed: no such kernel")
