@@ -9,7 +9,6 @@ the line); another survivor is a test to write.
 import argparse
 import ast
 import csv
-import importlib.util
 import os
 import random
 import signal
@@ -21,6 +20,7 @@ from pathlib import Path
 import cosmic_ray.ast
 import cosmic_ray.mutating
 import cosmic_ray.plugins
+import mutated
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SOURCE = REPOSITORY / "src" / "artifact"
@@ -125,31 +125,26 @@ def walk(node):
         yield from walk(child)
 
 
-class Finder:
-    """Gives one module its changed text."""
-
-    def __init__(self, path, text, folder):
-        name = path.relative_to(SOURCE.parent).with_suffix("")
-        self.name = ".".join(name.parts).removesuffix(".__init__")
-        self.packages = [str(path.parent)] if path.name == "__init__.py" else None
-        self.file = Path(folder) / path.name
-        self.file.write_text(text, encoding="utf-8")
-
-    def find_spec(self, name, path=None, target=None):
-        if name != self.name:
-            return None
-        return importlib.util.spec_from_file_location(name, self.file, submodule_search_locations=self.packages)
-
-
 def passes(path, text, tests, limit):
-    """Run tests in a process of its own in which a module has another text: whether all pass in time, and what they say."""
+    """Run tests in a process of its own in which a module has another text: whether all pass in time, and what they say.
+
+    The processes that it starts have that text too: each runs ``sitecustomize`` when it starts.
+    """
     with tempfile.TemporaryDirectory() as folder:
+        changed = Path(folder) / path.name
+        changed.write_text(text, encoding="utf-8")
+        (Path(folder) / "sitecustomize.py").write_text(
+            "import mutated\n\nmutated.install_as_in_parent()\n", encoding="utf-8"
+        )
         child = os.fork()
         if child == 0:
             os.setsid()
             for stream in (1, 2):
                 os.dup2(os.open(Path(folder) / "output", os.O_WRONLY | os.O_CREAT | os.O_APPEND), stream)
-            sys.meta_path.insert(0, Finder(path, text, folder))
+            os.environ["PYTHONPATH"] = os.pathsep.join(map(str, [folder, Path(__file__).parent, SOURCE.parent]))
+            name = ".".join(path.relative_to(SOURCE.parent).with_suffix("").parts)
+            package = str(path.parent) if path.name == "__init__.py" else ""
+            mutated.install(name.removesuffix(".__init__"), str(changed), package)
             os._exit(run_tests(tests))
         end = time.monotonic() + limit
         while time.monotonic() < end:

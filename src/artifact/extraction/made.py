@@ -136,7 +136,7 @@ def descriptors(
     axis, or ``"codes"`` for ``(n, 32)`` uint8, packed bits.
     """
     d, shared = math.prod(_SHAPES[what]), _generator(entry, method, what)
-    seeds = shared.integers(2**31, size=8)
+    seeds = shared.integers(2**31, size=5)
     place = _field(along, d, int(seeds[0]))
     kind = _kind(entry, traversal)
     directions = [np.random.default_rng(seed).normal(0, d**-0.5, d) for seed in seeds[1:5]]
