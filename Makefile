@@ -5,6 +5,8 @@ RUN := $(VENV)/bin/python -m artifact
 # The first Python that fits: python3 if it does, else a named version.
 PYTHON ?= $(shell for p in python3 python3.12 python3.13 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
+PIP := $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-compile
+UNCOMPILED := not all could be compiled now: it is compiled at first use
 ON = $(if $(CLUSTER),--cluster $(CLUSTER))
 # As typed: spaces, quotes and dollar signs reach the command unchanged.
 export ARTIFACT_SET := $(value SET)
@@ -139,15 +141,19 @@ else
 	@test -n "$(TORCH_INDEX)" || test "$$(uname)" != Linux || command -v nvidia-smi >/dev/null 2>&1 || \
 		echo "no NVIDIA driver here: if PyTorch comes as its CUDA build (3 GB), TORCH_INDEX=URL takes the CPU build of another index (0.2 GB)"
 	@$(PYTHON) -m venv --clear $(VENV)
-	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
+	@$(PIP) torch==2.13.0 $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
+	@awk '/^[a-z]/ { on = /^(llvmlite|numba|numpy|pillow|scipy)==/ } on' environment.txt > $(VENV)/first.txt
+	@$(PIP) --no-deps --require-hashes -r $(VENV)/first.txt
+	@# The installer takes one core: beside it the renderer is compiled, and the rest when all is there.
 	@# uv reads none of pip's settings: where pip has an index, proxy or certificate and uv has none, pip installs.
-	@if command -v uv >/dev/null 2>&1 && { env | grep -q '^UV_' || \
+	@PYTHONPATH=src $(VENV)/bin/python -m artifact_city & city=$$!; trap "kill $$city" INT TERM; \
+	if command -v uv >/dev/null 2>&1 && { env | grep -q '^UV_' || \
 		! $(VENV)/bin/python -m pip config list | grep -E '(index-url|proxy|cert|no-index|find-links)=' >/dev/null; }; then \
-		uv pip install --quiet --compile-bytecode --python $(VENV)/bin/python --no-deps --require-hashes -r environment.txt; \
-	else $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r environment.txt; fi
-	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-	@$(VENV)/bin/python -m compileall -q src
-	@$(VENV)/bin/python -m artifact.ranking & ranking=$$!; $(VENV)/bin/python -m artifact_city && wait $$ranking || \
-		echo "not all could be compiled now: it is compiled at first use"
+		uv pip install --quiet --python $(VENV)/bin/python --no-deps --require-hashes -r environment.txt; \
+	else $(PIP) --no-deps --require-hashes -r environment.txt; fi; \
+	installed=$$?; wait $$city || echo "$(UNCOMPILED)"; exit $$installed
+	@$(PIP) --no-deps --no-build-isolation --editable .
+	@$(VENV)/bin/python -m artifact.ranking & ranking=$$!; $(VENV)/bin/python -m compileall -qq -j 0 src $(VENV)/lib; \
+		wait $$ranking || echo "$(UNCOMPILED)"
 	@pwd > $@
 endif
