@@ -119,6 +119,8 @@ CLIPPED = """() => {
   if (document.documentElement.scrollWidth > width + 1) say("page too wide", document.body);
   for (const box of document.querySelectorAll("article :is(.scroll, .cell_output, pre, mjx-container[display])"))
     if (box.scrollWidth > box.clientWidth + 1) say("scrolls across", box);
+  for (const box of document.querySelectorAll(".scroll.tall"))
+    if (box.offsetHeight > window.innerHeight) say("fills more than the window", box);
   for (const element of document.querySelectorAll("article *")) {
     const text = [...element.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim());
     const box = element.getBoundingClientRect();
@@ -131,7 +133,10 @@ CLIPPED = """() => {
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_no_page_hides_a_number_at_any_width(browser, pages, scheme):
-    """Nothing reaches out of the window, and no table, figure, formula or code is cut, from a phone to a wide screen."""
+    """Nothing reaches out of the window, no table, figure, formula or code is cut, from a phone to a wide screen.
+
+    A long table scrolls in a box that leaves room to pass it by.
+    """
     html, names = pages
     context = browser.new_context(color_scheme=scheme, reduced_motion="reduce")
     page = context.new_page()

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from artifact import store
+from artifact.manifest import layout
 
 values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
@@ -319,3 +320,34 @@ def test_the_time_of_a_stage_is_reported_where_it_can_be(tmp_path, monkeypatch):
     monkeypatch.setenv(store.TIMES_VARIABLE, str(tmp_path / "another machine" / "times.csv"))
     with store.stage("rank"):  # a worker that inherited the variable goes on
         pass
+
+
+def test_names_below_a_folder_are_those_of_its_files_but_hidden_ones(tmp_path):
+    inside = tmp_path / "inside"
+    for name in (
+        "a.jpg",
+        "b/c.JPG",
+        "b/d/e f.png",
+        ".hidden.jpg",
+        ".folder/a.jpg",
+        "b/.x",
+        "__MACOSX/a.jpg",
+        "notes.txt",
+    ):
+        place = inside / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.touch()
+    (inside / "link.jpg").symlink_to(inside / "a.jpg")
+    (inside / "gone.jpg").symlink_to(tmp_path / "nowhere.jpg")
+    (inside / "linked").symlink_to(inside / "b")
+    os.mkfifo(inside / "pipe.jpg")
+    shown = {path for path in inside.rglob("*") if path.is_file()}
+    expected = {path.relative_to(inside).as_posix() for path in shown}
+    expected = {name for name in expected if not any(part.startswith(".") for part in name.split("/"))}
+    found = layout.names_below(inside)
+    assert len(found) == len(set(found)) == 6
+    assert set(found) == expected
+    images, others = layout.files_below(inside)
+    assert sorted(images) == ["a.jpg", "b/c.JPG", "b/d/e f.png", "link.jpg"]
+    assert others == ["notes.txt"]
+    assert layout.names_below(tmp_path / "nowhere") == layout.names_below(inside / "a.jpg") == []

@@ -30,6 +30,7 @@ from filelock import FileLock, Timeout
 from tqdm import tqdm
 
 from artifact.manifest import CACHE_VARIABLE
+from artifact.manifest.layout import names_below
 
 LOG_VARIABLE = "ARTIFACT_LOG"  # a file for lines of processes whose standard error is kept as part of a page
 TIMES_VARIABLE = "ARTIFACT_TIMES"  # a file for what the processes of a run spent on its stages
@@ -125,25 +126,25 @@ def digest_of_array(array: np.ndarray) -> str:
     return digest.hexdigest()
 
 
-def digest_of_file(path: Path) -> str:
+def digest_of_file(path: Path | str) -> str:
     """Return the SHA-256 of a file's bytes; a file that is not written in between is read once per process."""
     now = stamp(path)
-    return _digest_under(path, now) if _is_settled(now) else _read_digest(path)
+    return _digest_under(str(path), now) if _is_settled(now) else _read_digest(path)
 
 
-def _read_digest(path: Path) -> str:
-    with path.open("rb") as stream:
+def _read_digest(path: Path | str) -> str:
+    with Path(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 @functools.lru_cache(maxsize=1 << 16)
-def _digest_under(path: Path, _: tuple[int, ...]) -> str:
+def _digest_under(path: str, _: tuple[int, ...]) -> str:
     return _read_digest(path)
 
 
-def stamp(path: Path) -> tuple[int, ...]:
+def stamp(path: Path | str) -> tuple[int, ...]:
     """Return what changes whenever a file is written: its size, times and inode; the change time nobody can set."""
-    status = path.stat()
+    status = os.stat(path)
     return status.st_size, status.st_mtime_ns, status.st_ino, status.st_ctime_ns
 
 
@@ -151,7 +152,7 @@ def _is_settled(found: tuple[int, ...]) -> bool:
     return time.time_ns() - found[-1] > _SETTLED
 
 
-def digest_of_files(paths: Sequence[Path], cache: Path | None = None) -> list[str]:
+def digest_of_files(paths: Sequence[Path] | Sequence[str], cache: Path | None = None) -> list[str]:
     """Return the SHA-256 of each file, remembering them by path, size, times and inode.
 
     Parameters
@@ -187,8 +188,8 @@ def changed_in_silence(paths: Sequence[Path], cache: Path) -> list[Path]:
 
 
 @contextlib.contextmanager
-def _memory_of(paths: Sequence[Path], cache: Path) -> Iterator[dict[str, Any]]:
-    folder = paths[0].parent if paths else Path()
+def _memory_of(paths: Sequence[Path] | Sequence[str], cache: Path) -> Iterator[dict[str, Any]]:
+    folder = Path(paths[0]).parent if paths else Path()
     place = cache / "digests" / f"{key(folder=folder.resolve())[:16]}.json"
     with lock(place):
         memory = remembered(place)
@@ -198,7 +199,7 @@ def _memory_of(paths: Sequence[Path], cache: Path) -> Iterator[dict[str, Any]]:
             write_json(place, memory)
 
 
-def _known(memory: Mapping[str, Any], path: Path, now: tuple[int, ...]) -> str | None:
+def _known(memory: Mapping[str, Any], path: Path | str, now: tuple[int, ...]) -> str | None:
     known = memory.get(str(path))
     return known[-1] if isinstance(known, list) and known[:-1] == [*now] else None
 
@@ -361,9 +362,8 @@ def _content(path: Path, cache: Path | None = None) -> str | dict[str, str]:
     """Digest of a file, or of each file in a folder but for hidden ones."""
     if not path.is_dir():
         return digest_of_file(path)
-    files = sorted(file for file in path.rglob("[!.]*") if file.is_file())
-    names = [file.relative_to(path).as_posix() for file in files]
-    return dict(zip(names, digest_of_files(files, cache), strict=True))
+    names = sorted(names_below(path))
+    return dict(zip(names, digest_of_files([f"{path}/{name}" for name in names], cache), strict=True))
 
 
 def find(path: Path, expected_key: str | None = None, cache: Path | None = None) -> dict[str, Any] | None:

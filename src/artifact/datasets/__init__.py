@@ -75,8 +75,9 @@ def load_traversal(manifest: Manifest, dataset: str, name: str) -> Traversal:
         if recorded is not None and not table.exists():
             return recorded
         return _load_described(manifest, dataset, entry, name, table)
+    rendered: dict[str, str] = {}
     if entry.kind == "city" and recorded is None:
-        render(traversal.render or {}, manifest.cache, f"{dataset}/{name}")
+        rendered = render(traversal.render or {}, manifest.cache, f"{dataset}/{name}")
     images = _images(manifest, dataset, entry, name)
     if not images.is_dir():
         if recorded is not None:
@@ -88,7 +89,7 @@ def load_traversal(manifest: Manifest, dataset: str, name: str) -> Traversal:
         positions = np.arange(len(names), dtype=np.float64)[:, None]
         return Traversal(dataset, name, traversal.condition, tuple(names), positions, digest)
     names, positions = listed(manifest, dataset, name)
-    digests = prepared.digests_of_images(images, names, manifest.cache)
+    digests = [rendered[n] for n in names] if rendered else prepared.digests_of_images(images, names, manifest.cache)
     digest = store.key(images=list(zip(names, digests, strict=True)))
     preparation = prepared.unchanged(images, digest) if prepared.is_prepared(images) else {}
     of_images = {"folder": images, "image_digests": tuple(digests), "preparation": preparation}

@@ -57,7 +57,7 @@ def unchanged(folder: Path, digest: str) -> dict[str, Any]:
 def digests_of_images(folder: Path, names: list[str], cache: Path | None = None) -> list[str]:
     """Return the SHA-256 of each listed image, or raise ``DatasetError`` if one is missing."""
     try:
-        return store.digest_of_files([folder / name for name in names], cache)
+        return store.digest_of_files([f"{folder}/{name}" for name in names], cache)
     except FileNotFoundError as error:
         raise _changed(folder, f"{Path(str(error.filename)).name} is missing") from None
 

@@ -13,8 +13,8 @@ from artifact import store
 from artifact.datasets.traversal import DatasetError
 
 
-def render(description: dict[str, Any], cache: Path, label: str) -> None:
-    """Render a traversal if its images and positions are not in the cache, with a progress bar.
+def render(description: dict[str, Any], cache: Path, label: str) -> dict[str, str]:
+    """Render a traversal if its images and positions are not in the cache; return the SHA-256 of each of its files.
 
     ``description`` is the key ``render`` of the manifest: the fields of :class:`artifact_city.CityTraversal`; ``label``
     is for messages. Raises ``DatasetError`` if it has unknown or impossible values.
@@ -23,7 +23,8 @@ def render(description: dict[str, Any], cache: Path, label: str) -> None:
 
     traversal, folder = _described(description, label), rendered_folder(description, cache, label)
     with store.lock(folder):
-        if store.find(folder, cache=cache) is None:
+        record = store.find(folder, cache=cache)
+        if record is None:
             unfinished = folder.with_suffix(".unfinished")
             shutil.rmtree(unfinished, ignore_errors=True)
             with tqdm(total=traversal.frames, unit="image", desc=f"render {label}", disable=None, leave=False) as bar:
@@ -32,9 +33,10 @@ def render(description: dict[str, Any], cache: Path, label: str) -> None:
                         artifact_city.render(traversal, unfinished, progress=lambda done: bar.update(done - bar.n))
                 except ValueError as error:
                     raise DatasetError(f"{label}: {error}") from None
-            store.seal(unfinished, {"dataset": label.partition("/")[0], "traversal": label.partition("/")[2]})
+            record = store.seal(unfinished, {"dataset": label.partition("/")[0], "traversal": label.partition("/")[2]})
             shutil.rmtree(folder, ignore_errors=True)  # one without a record
             unfinished.replace(folder)
+    return record["sha256"]
 
 
 def rendered_folder(description: dict[str, Any], cache: Path, label: str) -> Path:
