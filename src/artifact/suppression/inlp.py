@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import SGDClassifier
-from sklearn.metrics import balanced_accuracy_score
 from sklearn.utils.validation import check_is_fitted
 
 from artifact.suppression.lowrank import LowRankEstimator, LowRankMap
@@ -80,7 +79,7 @@ def _erased_directions(
     """Remove directions in turn, in place; return them and, per iteration, balanced accuracy and their number."""
     basis = np.zeros((coordinates.shape[1], 0))
     accuracies, ends, unconverged = [], [], 0
-    start = np.linalg.norm(coordinates)
+    start, members = np.linalg.norm(coordinates), [condition == name for name in np.unique(condition)]
     for _ in range(iterations):
         if np.linalg.norm(coordinates) <= 1e-9 * start:
             break  # every dimension of the fitting data is gone
@@ -89,7 +88,8 @@ def _erased_directions(
             warnings.simplefilter("always")
             classifier.fit(coordinates, condition)
         unconverged += any(issubclass(warning.category, ConvergenceWarning) for warning in caught)
-        accuracies.append(balanced_accuracy_score(condition, classifier.predict(coordinates)))
+        right = classifier.predict(coordinates) == condition
+        accuracies.append(np.mean([right[rows].mean() for rows in members]))
         for weights in classifier.coef_:
             direction = weights - basis @ (basis.T @ weights)
             direction -= basis @ (basis.T @ direction)
