@@ -301,9 +301,10 @@ def test_a_batch_dependent_method_has_the_batch_size_in_its_key(project):
     assert len(set(keys)) == 3
 
 
-def test_several_devices_need_an_engine_and_the_first_goes_on(project, capsys):
+def test_several_devices_need_an_engine_and_the_first_goes_on(project, capsys, monkeypatch):
     loaded, traversal = load(project)
-    found = extract.descriptors(loaded, traversal, "hog", device="cpu,cpu", workers=0)
+    monkeypatch.setattr(forward, "devices", lambda _: [torch.device("cpu"), torch.device("meta")])
+    found = extract.descriptors(loaded, traversal, "hog", device="cpu,meta", workers=0)
     assert found.sidecar["device"] == "cpu"
     (line,) = capsys.readouterr().err.splitlines()
     assert line == "hog · street/day: several devices at once need the extra 'cluster'; going on with the first, cpu"

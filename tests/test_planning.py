@@ -1,6 +1,8 @@
 """The dry run: what it counts is what extraction would do, and it leaves no trace."""
 
 import multiprocessing
+import os
+import re
 import subprocess
 import sys
 import time
@@ -155,7 +157,8 @@ def test_each_size_of_input_is_tried_once(project, quick):
     for path in (project / "data" / "street" / "night").iterdir():
         Image.open(path).resize((80, 60)).save(path)
     loaded = manifest.load(write_manifest(project, content))
-    list(plan.lines(loaded, "demo", precision="bfloat16"))
+    lines = "\n".join(plan.lines(loaded, "demo", precision="bfloat16"))
+    assert re.search(r"reading takes \d+ × 200 MB besides", lines), "that of a trial, 2e8 bytes"
     assert quick == [
         ("thumbnail", (48, 64), "cpu", "bfloat16"),
         ("hog", (48, 64), "cpu", "bfloat16"),
@@ -199,6 +202,10 @@ def test_a_trial_measures_model_reading_and_memory():
     assert 0 < trial.reading < 5
     assert 5e7 < trial.reader_memory <= trial.memory < 5e9
     assert trial.note == "a batch of 5"
+
+
+def test_memory_that_is_free_is_some_of_the_machines():
+    assert 5e7 < timing.available_memory() <= os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
 def test_the_memory_of_a_trial_is_that_of_the_model():
