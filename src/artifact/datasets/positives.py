@@ -28,12 +28,14 @@ def positives_of(
     """
     trees = cKDTree(query_positions), cKDTree(database_positions)
     near = trees[0].sparse_distance_matrix(trees[1], threshold * (1 + 1e-9), output_type="ndarray")
-    near = near[np.lexsort((near["j"], near["i"]))]
-    owners, indices = near["i"].astype(np.int64), near["j"].astype(np.int64)
-    # The tree compares squared distances with a little slack; the definition decides.
-    inside = np.linalg.norm(query_positions[owners] - database_positions[indices], axis=1) <= threshold
-    counts = np.bincount(owners[inside], minlength=len(query_positions))
-    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), indices[inside]
+    # The tree's distances are good to far less than this slack; close to the threshold the definition decides.
+    close = np.flatnonzero(near["v"] > threshold * (1 - 1e-9))
+    apart = np.linalg.norm(query_positions[near["i"][close]] - database_positions[near["j"][close]], axis=1)
+    pairs = np.delete(near["i"] * len(database_positions) + near["j"], close[apart > threshold])
+    pairs.sort()
+    owners, indices = np.divmod(pairs, len(database_positions))
+    counts = np.bincount(owners, minlength=len(query_positions))
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), indices.astype(np.int64, copy=False)
 
 
 def nearest_distance(query_positions: np.ndarray, database_positions: np.ndarray) -> float:
