@@ -1,5 +1,6 @@
 """Shared fixtures: a tiny project folder with its own manifest, images and cache."""
 
+import ast
 import copy
 import os
 import shutil
@@ -34,6 +35,13 @@ HOG = {
     "batch_size": 5,
     "preprocessing": {"resize": "fixed", "size": [32, 64], "colour": "grey", "mean": [0.0], "std": [1.0]},
 }
+
+
+def imported_by(path):
+    """Yield the full names of all that a Python file imports, at its top or inside a function."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            yield from (".".join(filter(None, (getattr(node, "module", None), alias.name))) for alias in node.names)
 
 
 def write_images(folder, n, seed, *, brightness=0.0, noise=12.0, suffix=".png"):

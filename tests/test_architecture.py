@@ -1,11 +1,11 @@
 """Data flows one way: no module imports from a later stage, none imports in a circle, and the town knows no artifact."""
 
-import ast
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from conftest import imported_by
 
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 STAGES = (
@@ -30,14 +30,7 @@ MODULES = {
 
 def imports_of(module):
     """Modules of this repository that a module imports, at its top or inside a function."""
-    found = set()
-    for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names if alias.name in MODULES}
-        elif isinstance(node, ast.ImportFrom):
-            for alias in node.names:
-                full = f"{node.module}.{alias.name}"
-                found.add(full if full in MODULES else node.module)
+    found = {name if name in MODULES else name.rpartition(".")[0] for name in imported_by(MODULES[module])}
     return {name for name in found if name in MODULES}
 
 

@@ -1,6 +1,5 @@
 """Every command that the README and the book print is typed word for word in a clone, with relative paths."""
 
-import ast
 import os
 import re
 import shutil
@@ -11,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import yaml
-from conftest import DRIVE, REPOSITORY, copy_book, tiny_manifest, write_drive, write_images, write_manifest
+from conftest import DRIVE, REPOSITORY, copy_book, imported_by, tiny_manifest, write_drive, write_images, write_manifest
 
 from artifact import manifest
 from artifact.book import build, runner
@@ -183,11 +182,17 @@ esac
 """
 
 
+def stub(folder, cases=""):
+    """Write a Python that does no more than set-up needs, and what further cases say; it and the file of what it is asked."""
+    python, log = folder / "python", folder / "asked"
+    python.write_text(STUB.replace("*venv*)", f"{cases}*venv*)").format(log=log, python=sys.executable))
+    python.chmod(0o755)
+    return python, log
+
+
 def test_of_two_set_ups_at_once_the_second_waits_and_finds_all_done(tmp_path):
-    stub, log = tmp_path / "python", tmp_path / "asked"
-    stub.write_text(STUB.format(log=log, python=sys.executable))
-    stub.chmod(0o755)
-    arguments = "setup", f"PYTHON={stub}"
+    python, log = stub(tmp_path)
+    arguments = "setup", f"PYTHON={python}"
     with ThreadPoolExecutor(2) as executor:
         done = list(executor.map(lambda _: made(tmp_path, *arguments, PATH="/usr/bin:/bin"), range(2)))
     assert [one.returncode for one in done] == [0, 0], [one.stderr for one in done]
@@ -200,21 +205,16 @@ def test_of_two_set_ups_at_once_the_second_waits_and_finds_all_done(tmp_path):
 
 
 def test_set_up_fails_if_not_all_is_installed_and_waits_for_what_it_started(tmp_path):
-    stub, log = tmp_path / "python", tmp_path / "asked"
-    fails = '*environment.txt*) exit 3 ;;\n*artifact_city*) sleep 2; echo "compiled" >> "{log}" ;;\n*venv*)'
-    stub.write_text(STUB.replace("*venv*)", fails).format(log=log, python=sys.executable))
-    stub.chmod(0o755)
-    assert made(tmp_path, "setup", f"PYTHON={stub}", PATH="/usr/bin:/bin").returncode != 0
+    cases = '*environment.txt*) exit 3 ;;\n*artifact_city*) sleep 2; echo "compiled" >> "{log}" ;;\n'
+    python, log = stub(tmp_path, cases)
+    assert made(tmp_path, "setup", f"PYTHON={python}", PATH="/usr/bin:/bin").returncode != 0
     assert log.read_text().splitlines()[-1] == "compiled"
     assert not (tmp_path / ".venv" / ".ready").exists()
 
 
 def test_what_cannot_be_compiled_is_said_and_set_up_goes_on(tmp_path):
-    stub = tmp_path / "python"
-    fails = "*artifact_city*|*artifact.ranking*|*compileall*) exit 1 ;;\n*venv*)"
-    stub.write_text(STUB.replace("*venv*)", fails).format(log=tmp_path / "asked", python=sys.executable))
-    stub.chmod(0o755)
-    done = made(tmp_path, "setup", f"PYTHON={stub}", PATH="/usr/bin:/bin")
+    python, _ = stub(tmp_path, "*artifact_city*|*artifact.ranking*|*compileall*) exit 1 ;;\n")
+    done = made(tmp_path, "setup", f"PYTHON={python}", PATH="/usr/bin:/bin")
     assert done.returncode == 0
     assert done.stdout.count("it is compiled at first use") == 2
     assert (tmp_path / ".venv" / ".ready").exists()
@@ -226,12 +226,8 @@ def test_the_renderer_is_compiled_as_soon_as_what_it_imports_is_there(tmp_path):
     kept = subprocess.run(["/bin/sh", "-c", command], cwd=REPOSITORY, capture_output=True, text=True, check=True).stdout
     whole = (REPOSITORY / "environment.txt").read_text()
     assert all(block in whole for block in re.split(r"^(?=\S)", kept, flags=re.MULTILINE))
-    imported = set()
-    for path in (REPOSITORY / "src" / "artifact_city").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            modules = [node.module] if isinstance(node, ast.ImportFrom) else []
-            modules += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            imported |= {name.partition(".")[0] for name in modules if name}
+    files = (REPOSITORY / "src" / "artifact_city").rglob("*.py")
+    imported = {name.partition(".")[0] for path in files for name in imported_by(path)}
     needed = {"pillow" if name == "PIL" else name for name in imported - {*sys.stdlib_module_names, "artifact_city"}}
     assert needed | {"llvmlite"} == set(re.findall(r"^\w+", kept, re.MULTILINE))
 
