@@ -16,15 +16,10 @@ from artifact.ranking.engine_torch import TorchEngine
 from artifact.ranking.engines import CpuEngine
 from artifact.suppression.lowrank import LowRankMap
 
-PRODUCTS = [
-    products.NumpyProduct(),
-    products.TorchProduct(),
-    products.HalfProduct(1),
-    products.HalfProduct(2),
-    *([products.OneDnnProduct()] if products.OneDnnProduct.available() else []),
-]
+PRODUCTS = products.every()
+FLOAT32, TORCH, BFLOAT16 = PRODUCTS[:3]
 ENGINES = [lambda _, p=p: CpuEngine(p) for p in PRODUCTS]
-ENGINES += [lambda _, p=p: TorchEngine(torch.device("cpu"), p) for p in PRODUCTS[1:3]]
+ENGINES += [lambda _, p=p: TorchEngine(torch.device("cpu"), p) for p in (TORCH, BFLOAT16)]
 NAMES = [*(p.name for p in PRODUCTS), "other device, float32", "other device, bfloat16"]
 
 
@@ -276,14 +271,83 @@ def test_every_product_keeps_its_bound(product, d):
     left, right = (rng.standard_normal((60, d)).astype(np.float32) ** 3 for _ in range(2))
     right[:20] = left[:20]  # all terms of one sign: the hardest for a bound of sums
     left[30:] *= np.float32(1e-3) * (1 + np.arange(d, dtype=np.float32) % 7)
-    tensors = (left, right) if isinstance(product, products.NumpyProduct) else map(torch.from_numpy, (left, right))
-    error = np.abs(
-        np.asarray(product.multiply(*tensors), np.float64) - left.astype(np.float64) @ right.T.astype(np.float64)
-    )
+    found = product.multiply(*map(product.prepared, (left, right)))
+    error = np.abs(np.asarray(found, np.float64) - left.astype(np.float64) @ right.T.astype(np.float64))
     terms = [product.terms(rows, np.linalg.norm(rows.astype(np.float64), axis=1)) for rows in (left, right)]
     bound = terms[0][0] @ terms[1][1].T
     assert (error <= bound).all()
     assert bound.max() < 0.02 * np.outer(*(np.linalg.norm(rows, axis=1) for rows in (left, right))).max()
+
+
+@pytest.mark.parametrize("product", PRODUCTS, ids=NAMES[: len(PRODUCTS)])
+def test_bounds_hold_for_rows_of_any_size_and_shape(product):
+    rng = np.random.default_rng(0)
+    rows = rng.standard_normal((12, 300)).astype(np.float32)
+    rows[0], rows[1, 1:], rows[2] = 1.0, 0.0, -1.0  # no difference, a single value
+    rows[3, 0], rows[4, :2] = 1e6, (1e4, -1e4)  # others are next to nothing beside an outlier
+    rows[5:8] *= np.array([[1e-20], [1e-38], [1e-44]], np.float32)  # squares, and values, that float32 cannot hold
+    rows[8:10] *= np.array([[1e12], [1e17]], np.float32)
+    rows[10] = rows[11] + np.float32(2.0**-20)
+    found = np.asarray(product.multiply(*[product.prepared(rows)] * 2), np.float64)
+    as_query, as_image = product.terms(rows, np.linalg.norm(rows.astype(np.float64), axis=1))
+    error = np.abs(found - rows.astype(np.float64) @ rows.astype(np.float64).T)
+    assert (error <= as_query @ as_image.T).all()
+
+
+def test_whole_numbers_are_multiplied_exactly_or_not_at_all(monkeypatch):
+    integers = products.IntegerProduct()
+    if not integers.available():
+        pytest.skip("this processor does not add products of int8 exactly")
+    d = 49_152
+    rows = np.full((3, d), 127, np.float32)  # the largest sums: each value has the high part 127
+    rows[1] *= -1
+    rows[:, 1::2] -= np.float32(0.498)  # and the largest low part
+    parts, scale = integers.prepared(rows)
+    assert parts[0, [0, 1, d + 1, 2 * d]].tolist() == [127, 127, -127, 127]
+    exact = rows.astype(np.float64) @ rows.astype(np.float64).T
+    np.testing.assert_allclose(integers.multiply((parts, scale), (parts, scale)), exact, rtol=1e-5)
+    length = np.linalg.norm(rows.astype(np.float64), axis=1)
+    assert np.isfinite(integers.terms(rows, length)[0]).all()
+    too_long = np.ones((2, 2**16 + 1), np.float32)
+    assert not np.isfinite(integers.terms(too_long, np.full(2, 256.0))[0]).all()  # nothing is claimed
+    with monkeypatch.context() as patch:
+
+        def saturated(left, right):
+            """As before there was an instruction for it: without signs on the left, and pairs added in 16 bits."""
+            products = (left.int() + 128)[:, :, None] * right.int()[None]
+            pairs = products.view(len(left), -1, 2, right.shape[1]).sum(2).clamp(-(2**15), 2**15 - 1)
+            return pairs.sum(1) - 128 * right.int().sum(0)
+
+        patch.setattr(torch, "_int_mm", saturated)
+        assert not integers.available()
+    monkeypatch.delattr(torch, "_int_mm")
+    assert not integers.available()
+    assert integers not in products.every()
+
+
+def test_rows_are_prepared_once_while_there_is_room(monkeypatch):
+    from artifact.ranking import engines
+
+    queries, database, *where = real_like(160, 40, 9)
+    expected = evaluate(queries, database, *where, 3.0, device="cpu").ranks(distractors=True)
+    monkeypatch.setattr(engines, "_COLUMNS", 32)
+    monkeypatch.setattr(one_pass, "_TILE_SIDE", 16)
+    calls = []
+
+    class Counted(products.NumpyProduct):
+        def prepared(self, rows):
+            calls.append(len(rows))
+            return rows
+
+    asked = {}
+    for kept in (2**26, 0):
+        monkeypatch.setattr(engines, "_KEPT", kept)
+        monkeypatch.setattr(one_pass, "engine_for", lambda _: CpuEngine(Counted()))
+        calls.clear()
+        ranks = evaluate(queries, database, *where, 3.0).ranks(distractors=True)
+        np.testing.assert_array_equal(ranks, expected)
+        asked[kept] = sum(calls)
+    assert asked[2**26] < 0.6 * asked[0], asked
 
 
 def test_the_bound_of_a_view_holds_and_a_lens_is_no_wider_than_needed():
@@ -294,7 +358,7 @@ def test_the_bound_of_a_view_holds_and_a_lens_is_no_wider_than_needed():
         with threads() as executor:
             rows = similarity.described([queries, database], executor)
         q, c = (similarity.views_of(one, {"view": transform})["view"] for one in rows)
-        product = products.NumpyProduct()
+        product = FLOAT32
         terms = (
             product.terms(queries, np.sqrt(rows[0].squared))[0],
             product.terms(database, np.sqrt(rows[1].squared))[1],
@@ -318,7 +382,7 @@ def test_a_small_part_of_the_pairs_is_looked_at_again_and_the_best_product_is_ta
     assert work.third_looks == 0
     from artifact.ranking import engines
 
-    rates = dict.fromkeys(PRODUCTS, 1e-3) | {PRODUCTS[3]: 1e-4}
+    rates = dict.fromkeys(PRODUCTS, 1e-3) | {PRODUCTS[-1]: 1e-4}
     monkeypatch.setattr(products, "measured", lambda: True)
     assert (
         evaluate(queries, database, *where, 3.0, device="cpu").ranking.work.product == "NumPy float32"
@@ -326,7 +390,7 @@ def test_a_small_part_of_the_pairs_is_looked_at_again_and_the_best_product_is_ta
     monkeypatch.setattr(engines, "_WORTH_A_CHOICE", 0)
     monkeypatch.setattr(products, "seconds", lambda: rates)
     tried = evaluate(queries, database, *where, 3.0, device="cpu")
-    assert tried.ranking.work.product == "bfloat16, three products"
+    assert tried.ranking.work.product == PRODUCTS[-1].name
     np.testing.assert_array_equal(tried.ranks(distractors=True), result.ranks(distractors=True))
     monkeypatch.setattr(products, "seconds", lambda: dict.fromkeys(PRODUCTS[:2], 1e-12))
     closest = evaluate(queries, database, *where, 3.0, device="cpu").ranking.work
@@ -366,7 +430,8 @@ def test_products_restore_the_precision_that_they_found():
         torch.set_float32_matmul_precision(precision)
         try:
             for product in PRODUCTS[1:]:
-                product.multiply(torch.ones(4, 4), torch.ones(4, 4))
+                ones = product.prepared(np.ones((4, 4), np.float32))
+                product.multiply(ones, ones)
                 assert torch.get_float32_matmul_precision() == precision
         finally:
             torch.set_float32_matmul_precision("highest")

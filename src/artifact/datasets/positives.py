@@ -32,7 +32,7 @@ def positives_of(
     close = np.flatnonzero(near["v"] > threshold * (1 - 1e-9))
     apart = np.linalg.norm(query_positions[near["i"][close]] - database_positions[near["j"][close]], axis=1)
     pairs = np.delete(near["i"] * len(database_positions) + near["j"], close[apart > threshold])
-    pairs.sort()
+    pairs.sort(kind="stable")  # the tree lists images that are close to each other together: runs, which this joins
     owners, indices = np.divmod(pairs, len(database_positions))
     counts = np.bincount(owners, minlength=len(query_positions))
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), indices.astype(np.int64, copy=False)

@@ -15,6 +15,8 @@ from artifact.ranking.products import Product, TorchProduct
 
 _CONVERTED = 32 * 2**20  # bytes of descriptors that are sent to the device at a time if they do not stay there
 
+_PIECE = 2**24  # values of a tile that are counted at a time
+
 T = TypeVar("T")
 
 
@@ -42,11 +44,12 @@ class TorchEngine:
 
     def product(self, left: np.ndarray, rows: slice, right: np.ndarray, columns: slice) -> torch.Tensor:
         """Return ``left[rows] @ right[columns].T`` as float32."""
-        block, (first, end, _) = self._load(left, rows), columns.indices(len(right))
+        kind, (first, end, _) = self.product_kind, columns.indices(len(right))
+        block = kind.prepared(self._load(left, rows))
         step = max(1, _CONVERTED // (4 * right.shape[1])) if id(right) not in self._resident else end - first
         starts = range(first, end, step)
-        multiply = self.product_kind.multiply
-        parts = [multiply(block, self._load(right, slice(start, min(start + step, end)))) for start in starts]
+        others = (self._load(right, slice(start, min(start + step, end))) for start in starts)
+        parts = [kind.multiply(block, kind.prepared(other)) for other in others]
         return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
 
     def gather(self, tile: torch.Tensor, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -58,8 +61,13 @@ class TorchEngine:
         return tile.T
 
     def in_pieces(self, tile: Tile, work: Callable[[Tile], T], largest: int) -> list[T]:
-        """Do some work with a tile: the device divides it by itself."""
-        return [work(tile)]
+        """Do some work with pieces of a tile that the device divides further by itself; sweeps hold several of one."""
+        step = max(1, _PIECE // tile.values.shape[1])
+
+        def one(start: int) -> T:
+            return work(tile._replace(values=tile.values[start : start + step], first_row=tile.first_row + start))
+
+        return [one(start) for start in range(0, len(tile.values), step)]
 
     def shown(self, piece: Tile, lens: Lens) -> Tile:
         """Do as :func:`artifact.ranking.counting.show_rows`."""

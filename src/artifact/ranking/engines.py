@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol, TypeVar
@@ -20,6 +21,7 @@ from artifact.ranking.counting import Counts, Groups, Lens, Orders, Places, Targ
 from artifact.ranking.products import NumpyProduct, Product
 
 _COLUMNS = 2048  # columns of a product at a time: as much is copied or widened
+_KEPT = 2**26  # values of rows that are kept as the product takes them
 _DRIVERS = ("libcuda.so.1", "libamdhip64.so", "nvcuda.dll")  # CUDA's, or ROCm's, which PyTorch also calls CUDA
 _WORTH = 2**35  # multiplications of a pass from which on products are tried
 _WORTH_A_CHOICE = 2**33  # the same once they are measured
@@ -56,6 +58,7 @@ class CpuEngine:
         self.product_kind = product or NumpyProduct()
         self._fixed = product is not None
         self._buffers: dict[str, np.ndarray] = {}
+        self._blocks: dict[tuple[int, int, int], Any] = {}
 
     def __enter__(self) -> CpuEngine:
         return self
@@ -75,13 +78,25 @@ class CpuEngine:
 
     def product(self, left: np.ndarray, rows: slice, right: np.ndarray, columns: slice) -> np.ndarray:
         """Return ``left[rows] @ right[columns].T`` as float32; the memory is reused by the next call."""
-        block, others = np.ascontiguousarray(left[rows], np.float32), right[columns]
-        out = self._buffer("product", (len(block), len(others)))
-        for start in range(0, len(others), _COLUMNS):
-            part = np.ascontiguousarray(others[start : start + _COLUMNS], np.float32)
-            found = out[:, start : start + _COLUMNS]
-            products.multiply(self.product_kind, block, part, found)
+        (top, bottom, _), (first, end, _) = rows.indices(len(left)), columns.indices(len(right))
+        block = self._prepared(left, top, bottom)
+        out = self._buffer("product", (bottom - top, end - first))
+        bounds = [first, *range(first - first % _COLUMNS + _COLUMNS, end, _COLUMNS), end]
+        for start, stop in itertools.pairwise(bounds):
+            self.product_kind.multiply(block, self._prepared(right, start, stop), out[:, start - first : stop - first])
         return out
+
+    def _prepared(self, descriptors: np.ndarray, start: int, stop: int) -> Any:
+        """Return rows as the product takes them; those asked for last are kept."""
+        key = id(descriptors), start, stop
+        found = self._blocks.pop(key, None)
+        if found is None:
+            found = self.product_kind.prepared(np.ascontiguousarray(descriptors[start:stop], np.float32))
+            most = max(2, _KEPT // ((stop - start) * descriptors.shape[1]))
+            while len(self._blocks) >= most:
+                del self._blocks[next(iter(self._blocks))]
+        self._blocks[key] = found
+        return found
 
     def gather(self, tile: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return single values of a tile."""

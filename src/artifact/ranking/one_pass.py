@@ -15,6 +15,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -228,9 +229,9 @@ class _Pass:
             members = self.positives.members[starts[0] : starts[-1]]
             owners = np.repeat(np.arange(block.stop - block.start), np.diff(starts))
             found = self.engine.gather(values, owners, members)
-            targets = {}
-            for view, lens in seen.items():
-                near = counting.near_best(found, lens, self.positives, block.start, block.stop - block.start)
+            rows, targets = block.stop - block.start, {}
+            near_best = partial(counting.near_best, found, positives=self.positives, first_row=block.start, rows=rows)
+            for view, near in zip(seen, self.engine.executor.map(near_best, seen.values()), strict=True):
                 self.best[view].find(near[0], near[1], self.looks[view])
                 targets[view] = lenses.target(self.best[view], self._limits[view])
 
@@ -274,11 +275,14 @@ class _Pass:
                 self.engine.top(shown, lens, near, *kept[view].top)
             return self.engine.count(shown, lens, targets[view], near, kept[view].counts)
 
-        step = max(1, min(_TILE_SIDE, math.isqrt(options.memory // (4 * 2))))
-        for block, cols, mirrored in _tiles(n, len(pool), step, symmetric=own):
+        values_at_once = options.memory // (4 * 2)  # each may be there twice
+        step = max(1, min(_TILE_SIDE, math.isqrt(values_at_once)))
+        for block, cols in _tiles(n, len(pool), step, values_at_once // step, symmetric=own):
             values = self.engine.product(self.queries.descriptors, block, pool.descriptors, cols)
             halves = [Tile(values, block.start, cols.start)]
-            halves += [Tile(self.engine.transposed(values), cols.start, block.start)] if mirrored else []
+            if own and cols.stop > block.stop:  # what is right of the diagonal stands for what is below it
+                first = max(block.stop, cols.start)
+                halves.append(Tile(self.engine.transposed(values[:, first - cols.start :]), first, block.start))
             for view, pairs in itertools.chain.from_iterable(self._in_views(half, seen, count) for half in halves):
                 self._wait(kept[view], pairs, view, looks[view], (places, orders) if view in swept else None)
         self._pairs += n * len(pool) * len(self.transforms)
@@ -296,16 +300,22 @@ class _Pass:
         return Looks(self.views[view], images, self.options.similarity, dots)
 
     def _lenses(self, columns: Mapping[str, View]) -> dict[str, Lens]:
-        ours, theirs = self.views[ORIGINAL].rows, columns[ORIGINAL].rows
-        terms, kind = self.engine.product_kind.terms, self.options.similarity
-        left = terms(ours.descriptors, np.sqrt(ours.squared))[0]
-        right = terms(theirs.descriptors, np.sqrt(theirs.squared))[1]
+        kind, theirs = self.options.similarity, columns[ORIGINAL].rows
+        left = self._terms[0]
+        right = self._terms[1] if theirs is self.rows else self._terms_of(theirs)[1]
         found: dict[str, Lens] = {}
         for view in self.transforms:
             before = next(reversed(found.values()), None)
             limit = self._limits[view]
             found[view] = lenses.lens(self.views[view], columns[view], kind, (left, right), limit, before)
         return found
+
+    @cached_property
+    def _terms(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._terms_of(self.rows)
+
+    def _terms_of(self, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+        return self.engine.product_kind.terms(rows.descriptors, np.sqrt(rows.squared))
 
     def _in_views(
         self, tile: Tile, seen: Mapping[str, Lens], count: Callable[[str, Lens, Tile], np.ndarray]
@@ -379,11 +389,8 @@ def _blocks(n: int, step: int) -> Iterator[slice]:
         yield slice(start, min(start + step, n))
 
 
-def _tiles(n_rows: int, n_columns: int, step: int, *, symmetric: bool) -> Iterator[tuple[slice, slice, bool]]:
-    """Yield row and column slices; ``True`` marks a tile whose mirror image is not computed on its own."""
+def _tiles(n_rows: int, n_columns: int, step: int, width: int, *, symmetric: bool) -> Iterator[tuple[slice, slice]]:
+    """Yield row and column slices; if symmetric, nothing that lies left of the squares on the diagonal."""
     for rows in _blocks(n_rows, step):
-        for cols in _blocks(n_columns, step):
-            if not symmetric:
-                yield rows, cols, False
-            elif cols.start >= rows.start:
-                yield rows, cols, cols.start > rows.start
+        for start in range(rows.start if symmetric else 0, n_columns, width):
+            yield rows, slice(start, min(start + width, n_columns))

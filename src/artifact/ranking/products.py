@@ -8,12 +8,15 @@ as_query(q) · as_image(c)``.
   more than ``128 + d / 128`` times: of d = 8,448 that is 43 times less, and as many fewer pairs to look at again. oneDNN
   compiles its product for the processor at hand and is the fastest on many; it takes only columns that lie side by side,
   so that they are copied, 2048 at a time.
-- **bfloat16.** Rows are cut into parts that bfloat16 holds exactly, ``q = q₁ + δ`` or ``q = q₁ + q₂ + δ``, with the
-  lengths of the remainders measured; the products of parts are exact in float32. What is left out is at most
-  ``|δ_q| |c| + |q| |δ_c|`` (and ``|q₂| |c₂|``), by Cauchy and Schwarz. The processor is only told that it *may* use its
-  matrix engine (AMX, tensor cores): should it take the values as float32 or TF32, nothing changes. Engines add with less
-  care than processors (Fasi, Higham, Mikaitis, Pranesh 2021, *Numerical behavior of NVIDIA tensor cores*): their sums are
-  taken to be good to ``2⁻²²`` a step.
+- **bfloat16.** Rows are rounded to what bfloat16 holds, ``q = q₁ + δ``, with the length of the remainder measured; the
+  products of such values are exact in float32. What is left out is at most ``|δ_q| |c| + |q₁| |δ_c|``, by Cauchy and
+  Schwarz. The processor is only told that it *may* use its matrix engine (AMX, tensor cores): should it take the values
+  as float32 or TF32, nothing changes. Engines add with less care than processors (Fasi, Higham, Mikaitis, Pranesh 2021,
+  *Numerical behavior of NVIDIA tensor cores*): their sums are taken to be good to ``2⁻²²`` a step.
+- **int8.** Processors multiply whole numbers of eight bits four times as fast as float32 (VNNI, AMX), and their sums in
+  int32 are exact. Rows are cut into two such parts, ``q = s (q₁ + q₂ / 256) + δ`` with a scale of its own, and three
+  products of parts are taken; the fourth, at most ``|q₂| |c₂|`` in length, and the remainders are left out, with lengths
+  that are measured. Only joining the three rounds, by ``γ_4`` of what they hold.
 
 Values below 2⁻¹²⁶ may be flushed to zero, which adds ``d 2⁻¹²⁶ (1 + |q|) (1 + |c|)``; of rows longer than 2⁶⁰ nothing is
 claimed.
@@ -23,7 +26,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -31,11 +34,16 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from artifact.ranking.arithmetic import ANY_ORDER
+from artifact.ranking.compiled import compiled, threads
+
 _UNIT = 2.0**-24
 _ENGINE_UNIT = 2.0**-22
 _SMALLEST = 2.0**-126
-_STEP, _ENGINE_STEP, _ONEDNN_STEP = 128, 512, 2048
-_WIDENED = 2**21  # values that are cut into parts at a time
+_STEP, _ENGINE_STEP, _ONEDNN_STEP, _INTEGER_STEP = 128, 512, 2048, 2**15
+_WIDENED = 2**21  # values that are widened at a time
+_SHORTEST = np.float32(2.0**-118)  # the largest value of a row that has a scale
+_MOST_COLUMNS = 2**16  # sums of as many products of both parts are below 2³¹
 _PRECISION = threading.Lock()  # PyTorch's precision is one for all threads
 
 
@@ -46,8 +54,11 @@ class Product(Protocol):
     def name(self) -> str:
         """Its name in reports."""
 
-    def multiply(self, left: Any, right: Any, out: Any = None) -> Any:
-        """Return ``left @ right.T`` in float32, of arrays, or of tensors if the product takes them, in ``out`` if given."""
+    def prepared(self, rows: Any) -> Any:
+        """Return float32 rows, an array or a tensor, as the product multiplies them."""
+
+    def multiply(self, left: Any, right: Any, out: np.ndarray | None = None) -> Any:
+        """Return ``left @ right.T`` of prepared rows in float32, in ``out`` if given."""
 
     def terms(self, rows: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the ``(n, t)`` terms of rows of known lengths as queries and as images."""
@@ -58,6 +69,10 @@ class NumpyProduct:
     """NumPy's own float32 product."""
 
     name: str = "NumPy float32"
+
+    def prepared(self, rows: np.ndarray) -> np.ndarray:
+        """See :class:`Product`."""
+        return rows
 
     def multiply(self, left: np.ndarray, right: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """See :class:`Product`."""
@@ -75,7 +90,11 @@ class TorchProduct:
 
     name: str = "PyTorch float32"
 
-    def multiply(self, left: Any, right: Any, out: Any = None) -> Any:
+    def prepared(self, rows: Any) -> Any:
+        """See :class:`Product`."""
+        return _tensor(rows)
+
+    def multiply(self, left: Any, right: Any, out: np.ndarray | None = None) -> Any:
         """See :class:`Product`."""
         with precision("highest"):
             return _in_steps(left, right, _STEP, out)
@@ -99,7 +118,11 @@ class OneDnnProduct:
         has_it = torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]
         return has_it and hasattr(torch.ops.mkldnn, "_linear_pointwise")
 
-    def multiply(self, left: Any, right: Any, out: Any = None) -> Any:
+    def prepared(self, rows: Any) -> Any:
+        """See :class:`Product`."""
+        return _tensor(rows)
+
+    def multiply(self, left: Any, right: Any, out: np.ndarray | None = None) -> Any:
         """See :class:`Product`."""
         import torch
 
@@ -110,7 +133,7 @@ class OneDnnProduct:
                 sides = left[:, columns].contiguous(), right[:, columns].contiguous()
                 found = torch.ops.mkldnn._linear_pointwise(*sides, None, "none", [], "")
                 total = found if total is None else total.add_(found)
-        return total if out is None else out.copy_(total)
+        return total if out is None else _tensor(out).copy_(total)
 
     def terms(self, rows: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`Product`."""
@@ -119,53 +142,177 @@ class OneDnnProduct:
 
 @dataclass(frozen=True)
 class HalfProduct:
-    """Products of one or two bfloat16 parts on a matrix engine."""
+    """The product of values rounded to bfloat16, on a matrix engine."""
 
-    parts: int
+    name: str = "bfloat16"
 
-    @property
-    def name(self) -> str:
-        """Its name in reports."""
-        return f"bfloat16, {'one product' if self.parts == 1 else 'three products'}"
+    def prepared(self, rows: Any) -> Any:
+        """See :class:`Product`; the values are kept as float32, which an engine takes for what they are."""
+        import torch
 
-    def multiply(self, left: Any, right: Any, out: Any = None) -> Any:
+        return _tensor(rows).to(torch.bfloat16).float()
+
+    def multiply(self, left: Any, right: Any, out: np.ndarray | None = None) -> Any:
         """See :class:`Product`."""
-        lefts, rights = _parts(left, self.parts), _parts(right, self.parts)
         with precision("medium"):
-            out = _in_steps(lefts[0], rights[0], _ENGINE_STEP, out)
-            for one, other in [(0, 1), (1, 0)] if self.parts == 2 else []:
-                for columns in _steps(left.shape[1], _ENGINE_STEP):
-                    out.addmm_(lefts[one][:, columns], rights[other][:, columns].T)
-        return out
+            return _in_steps(left, right, _ENGINE_STEP, out)
 
     def terms(self, rows: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`Product`."""
-        import torch
-
-        last, rest = np.zeros(len(rows)), np.zeros(len(rows))
+        rest = np.zeros(len(rows))
         step = max(1, _WIDENED // rows.shape[1])
         for start in range(0, len(rows), step):
-            block = torch.from_numpy(np.ascontiguousarray(rows[start : start + step], np.float32))
-            parts = _parts(block, self.parts)
-            for out, part in ((last, parts[-1]), (rest, block - sum(parts))):
-                out[start : start + step] = 1.001 * part.norm(dim=1).numpy()  # a sum in float32, rounded up
-        sums = _sums(rows.shape[1], _ENGINE_STEP, 3 * _ENGINE_UNIT if self.parts == 2 else _ENGINE_UNIT, 1.01 * length)[
-            0
-        ]
-        dropped = last[:, None] if self.parts == 2 else np.zeros((len(rows), 0))
-        # The two terms of a remainder are of one size when each side is scaled by the root of the other's share.
-        scale = 2.0 ** (-4 if self.parts == 1 else -8)
-        fine, whole = rest[:, None] / scale, 1.01 * scale * length[:, None]
-        return np.hstack([sums, dropped, fine, whole]), np.hstack([sums, dropped, whole, fine])
+            block = np.ascontiguousarray(rows[start : start + step], np.float32)
+            # A sum in float32, rounded up.
+            rest[start : start + step] = 1.001 * (_tensor(block) - self.prepared(block)).norm(dim=1).numpy()
+        sums = _sums(rows.shape[1], _ENGINE_STEP, _ENGINE_UNIT, 1.01 * length)[0]
+        return _with_remainders(sums, rest, length, 2.0**-5)
+
+
+@dataclass(frozen=True)
+class IntegerProduct:
+    """Three products of int8 parts, whose sums are exact."""
+
+    name: str = "int8, three products"
+
+    @staticmethod
+    def available() -> bool:
+        """Whether PyTorch has it, and its sums are exact here: processors without VNNI may cut large ones off."""
+        import torch
+
+        if not hasattr(torch, "_int_mm"):
+            return False
+        left, right = np.random.default_rng(0).choice(np.array([-127, 127], np.int8), (2, 64, 1024))
+        left[:32] = right[:32] = 127
+        exact = left.astype(np.float64) @ right.astype(np.float64).T
+        return np.array_equal(_whole(_tensor(left), _tensor(right)), exact)
+
+    def prepared(self, rows: np.ndarray) -> tuple[Any, np.ndarray]:
+        """See :class:`Product`: the high, the low and again the high parts, side by side, and the scales."""
+        n, d = rows.shape
+        parts, scale = np.empty((n, 3 * d), np.int8), np.empty(n, np.float32)
+        _in_threads(lambda some: _cut(rows[some], parts[some], scale[some]), n)
+        return _tensor(parts), scale
+
+    def multiply(self, left: Any, right: Any, out: np.ndarray | None = None) -> np.ndarray:
+        """See :class:`Product`."""
+        (ours, our_scale), (theirs, their_scale) = left, right
+        d = ours.shape[1] // 3
+        high, low = _whole(ours[:, :d], theirs[:, :d]), _whole(ours[:, : 2 * d], theirs[:, d:])
+        found = np.empty(high.shape, np.float32) if out is None else out
+        _join(high, low, our_scale, their_scale, found)
+        return found
+
+    def terms(self, rows: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See :class:`Product`."""
+        n, d = rows.shape
+        low, rest = np.empty(n), np.empty(n)
+
+        def measure(some: slice) -> None:
+            _left_out(np.ascontiguousarray(rows[some], np.float32), low[some], rest[some])
+
+        _in_threads(measure, n, max(1, _WIDENED // d))
+        if d > _MOST_COLUMNS:
+            rest[:] = np.inf
+        sums = _rounding(4, d, _UNIT, length + 2 * low + rest)[0]
+        return _with_remainders(np.hstack([sums, low[:, None]]), rest, length, 2.0**-7)
+
+
+def _whole(left: Any, right: Any) -> np.ndarray:
+    """Return ``left @ right.T`` of int8 in int32, in steps that stay below 2³¹ with what an engine may add to values."""
+    import torch
+
+    first, *others = (torch._int_mm(left[:, some], right[:, some].T) for some in _steps(left.shape[1], _INTEGER_STEP))
+    for other in others:
+        first += other
+    return np.asarray(first)
+
+
+@compiled()
+def _scale_of(row: np.ndarray) -> tuple[np.float32, np.float32]:
+    """Return the scale of a row's high parts, and what to multiply by for it: zeros if the row is too short for one."""
+    largest = np.float32(0)
+    for column in range(row.size):
+        largest = max(largest, abs(row[column]))
+    if largest < _SHORTEST:
+        return np.float32(0), np.float32(0)
+    return largest / np.float32(127), np.float32(127) / largest
+
+
+@compiled()
+def _high_and_low(value: np.float32, times: np.float32) -> tuple[np.float32, np.float32]:
+    scaled = value * times
+    high = np.rint(scaled)
+    return high, min(np.float32(127), np.rint((scaled - high) * np.float32(256)))
+
+
+@compiled()
+def _cut(rows: np.ndarray, parts: np.ndarray, scale: np.ndarray) -> None:
+    n, d = rows.shape
+    for row in range(n):
+        scale[row], times = _scale_of(rows[row])
+        values, first, low, second = rows[row], parts[row, :d], parts[row, d : 2 * d], parts[row, 2 * d :]
+        for column in range(d):
+            whole, fraction = _high_and_low(values[column], times)
+            first[column] = second[column] = np.int8(whole)
+            low[column] = np.int8(fraction)
+
+
+@compiled(fastmath=ANY_ORDER)
+def _left_out(rows: np.ndarray, low: np.ndarray, rest: np.ndarray) -> None:
+    """Write the lengths of the low parts and of what is in neither part."""
+    for row in range(rows.shape[0]):
+        scale, times = _scale_of(rows[row])
+        values, lows, rests = rows[row], 0.0, 0.0
+        for column in range(values.size):
+            whole, fraction = _high_and_low(values[column], times)
+            left = np.float64(values[column]) - np.float64(scale) * (np.float64(whole) + np.float64(fraction) / 256)
+            lows += np.float64(fraction) * np.float64(fraction)
+            rests += left * left
+        low[row], rest[row] = 1.001 * np.float64(scale) * np.sqrt(lows) / 256, 1.001 * np.sqrt(rests)
+
+
+@compiled()
+def _join(high: np.ndarray, low: np.ndarray, left: np.ndarray, right: np.ndarray, out: np.ndarray) -> None:
+    for row in range(out.shape[0]):
+        line, whole, fraction, scale = out[row], high[row], low[row], left[row]
+        for column in range(line.size):
+            together = np.float32(whole[column]) + np.float32(fraction[column]) * np.float32(1 / 256)
+            line[column] = together * scale * right[column]
 
 
 def _sums(d: int, step: int, unit: float, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return terms of sums by steps, and of what may be flushed to zero."""
     step = min(step, d)
-    n = step + -(-d // step) + 2
+    return _rounding(step + -(-d // step) + 2, d, unit, length)
+
+
+def _rounding(n: int, d: int, unit: float, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return terms of what is rounded ``n`` times, and of what may be flushed to zero."""
     gamma = n * unit / (1 - n * unit)
     terms = np.stack([np.sqrt(gamma) * length, np.sqrt(d * _SMALLEST) * (1 + length)], axis=1)
     return terms, terms
+
+
+def _with_remainders(
+    terms: np.ndarray, rest: np.ndarray, length: np.ndarray, scale: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Add the terms of ``|δ_q| |c| + (|q| + |δ_q|) |δ_c|``, of one size where ``scale²`` is the share of a remainder."""
+    fine, whole = rest[:, None] / scale, scale * (length + rest)[:, None]
+    return np.hstack([terms, fine, whole]), np.hstack([terms, whole, fine])
+
+
+def _in_threads(work: Callable[[slice], None], n: int, step: int | None = None) -> None:
+    """Do some work with the rows of a block, a part in each thread."""
+    with threads() as executor:
+        step = step or -(-n // executor._max_workers)
+        list(executor.map(lambda start: work(slice(start, min(start + step, n))), range(0, n, step)))
+
+
+def _tensor(rows: Any) -> Any:
+    import torch
+
+    return torch.from_numpy(rows) if isinstance(rows, np.ndarray) else rows
 
 
 def _steps(d: int, step: int) -> Iterator[slice]:
@@ -173,32 +320,14 @@ def _steps(d: int, step: int) -> Iterator[slice]:
         yield slice(start, min(start + step, d))
 
 
-def multiply(product: Product, left: np.ndarray, right: np.ndarray, out: np.ndarray) -> None:
-    """Write a product of arrays into an array, also by a product that takes tensors."""
-    if isinstance(product, NumpyProduct):
-        product.multiply(left, right, out)
-        return
-    import torch
-
-    product.multiply(*map(torch.from_numpy, (left, right, out)))
-
-
-def _in_steps(left: Any, right: Any, step: int, out: Any) -> Any:
+def _in_steps(left: Any, right: Any, step: int, out: np.ndarray | None) -> Any:
     import torch
 
     first, *others = _steps(left.shape[1], step)
-    out = torch.mm(left[:, first], right[:, first].T, out=out)
+    total = torch.mm(left[:, first], right[:, first].T, out=_tensor(out))
     for columns in others:
-        out.addmm_(left[:, columns], right[:, columns].T)
-    return out
-
-
-def _parts(block: Any, parts: int) -> list[Any]:
-    """Cut float32 values into a high and, for two parts, a low bfloat16 value, kept as float32."""
-    import torch
-
-    high = block.to(torch.bfloat16).float()
-    return [high] if parts == 1 else [high, (block - high).to(torch.bfloat16).float()]
+        total.addmm_(left[:, columns], right[:, columns].T)
+    return total
 
 
 @contextmanager
@@ -215,6 +344,12 @@ def precision(name: str) -> Iterator[None]:
             torch.set_float32_matmul_precision(before)
 
 
+def every() -> list[Product]:
+    """Return the products that this machine has."""
+    some: list[Product] = [NumpyProduct(), TorchProduct(), HalfProduct()]
+    return some + [kind() for kind in (OneDnnProduct, IntegerProduct) if kind.available()]
+
+
 @cache
 def seconds() -> dict[Product, float]:
     """Return the products that this processor has, with the seconds of a multiplication, measured once in a process."""
@@ -222,9 +357,8 @@ def seconds() -> dict[Product, float]:
 
     block = np.random.default_rng(0).standard_normal((1024, 1024), dtype=np.float32)
     out = np.empty_like(block)
-    products: list[Product] = [NumpyProduct(), TorchProduct(), HalfProduct(1), HalfProduct(2)]
-    products += [OneDnnProduct()] if OneDnnProduct.available() else []
-    best = dict.fromkeys(products, np.inf)
+    sides = {product: product.prepared(block) for product in every()}
+    best = dict.fromkeys(sides, np.inf)
     # Several times in a row, for the threads of the library before still turn for a while; and in two turns, so that other
     # work on the machine slows none alone. What is far behind has one.
     for turn in range(2):
@@ -233,7 +367,7 @@ def seconds() -> dict[Product, float]:
                 continue
             for _ in range(5):
                 start = time.perf_counter()
-                multiply(product, block, block, out)
+                product.multiply(sides[product], sides[product], out)
                 best[product] = min(best[product], (time.perf_counter() - start) / block.size / len(block))
     return best
 

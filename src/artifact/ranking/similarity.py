@@ -138,6 +138,8 @@ class Transform:
     def __init__(self, left: np.ndarray, right: np.ndarray, offset: np.ndarray) -> None:
         self.left, self.right, self.offset = (np.asarray(part, np.float64) for part in (left, right, offset))
         self.gram = _product(self.left.T, self.left)
+        spectral = np.linalg.norm(self.gram, 2) if self.gram.size else 0.0
+        self.norms = *(float(np.linalg.norm(part)) for part in (self.left, self.right, self.offset)), float(spectral)
 
     @cached_property
     def exact_gram(self) -> np.ndarray:
@@ -206,10 +208,9 @@ def views_of(rows: Rows, transforms: Mapping[str, Transform | None]) -> dict[str
         remainder = u - a @ transform.gram
         squared = rows.squared - np.einsum("nk,nk->n", a, u) - np.einsum("nk,nk->n", remainder, a)
         A, U, M = (np.sqrt(np.einsum("nk,nk->n", part, part)) for part in (a, u, remainder))
-        left, right, offset = (np.linalg.norm(p) for p in (transform.left, transform.right, transform.offset))
+        left, right, offset, gram = transform.norms
         error_a, error_u = right * x + offset, left * x
-        spectral = np.linalg.norm(transform.gram, 2) if transform.gram.size else 0.0
-        error_m = error_u + spectral * error_a + 2 * left**2 * A
+        error_m = error_u + gram * error_a + 2 * left**2 * A
         as_query = np.stack([x, A + error_a, A, M + error_m, M], axis=1)
         as_image = np.stack([x, U, error_u, A, error_a], axis=1)
         doubt = unit * np.einsum("nt,nt->n", as_query, as_image)
@@ -222,27 +223,26 @@ def views_of(rows: Rows, transforms: Mapping[str, Transform | None]) -> dict[str
 def _projector(descriptors: np.ndarray, transforms: list[Transform]) -> Callable[[np.ndarray], np.ndarray]:
     """Multiply descriptors once with all directions that differ: INLP's views share theirs."""
     places: dict[bytes, int] = {}
-    for transform in transforms:
-        for basis in (transform.left, transform.right):
-            for column in np.ascontiguousarray(basis.T):
-                places.setdefault(column.tobytes(), len(places))
+    columns = {
+        id(basis): [places.setdefault(column.tobytes(), len(places)) for column in np.ascontiguousarray(basis.T)]
+        for transform in transforms
+        for basis in (transform.left, transform.right)
+    }
     directions = np.array([np.frombuffer(column) for column in places]).reshape(len(places), descriptors.shape[1])
     out = np.empty((len(descriptors), len(places)))
     step = max(1, WIDENED // descriptors.shape[1])
     for start in range(0, len(descriptors) if places else 0, step):
         out[start : start + step] = _product(descriptors[start : start + step], directions.T)
-
-    def project(basis: np.ndarray) -> np.ndarray:
-        return out[:, [places[column.tobytes()] for column in np.ascontiguousarray(basis.T)]]
-
-    return project
+    return lambda basis: out[:, columns[id(basis)]]
 
 
 def _product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Return a matrix product in float64 that sums blocks of columns by themselves."""
-    out = np.zeros((left.shape[0], right.shape[1]))
+    out, wide = np.zeros((left.shape[0], right.shape[1])), np.empty((left.shape[0], min(STEP, left.shape[1])))
     for start in range(0, left.shape[1], STEP):
-        out += left[:, start : start + STEP].astype(np.float64) @ right[start : start + STEP]
+        some = left[:, start : start + STEP]
+        wide[:, : some.shape[1]] = some
+        out += wide[:, : some.shape[1]] @ right[start : start + STEP]
     return out
 
 
