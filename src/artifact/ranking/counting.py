@@ -15,6 +15,7 @@ import numpy as np
 
 from artifact.ranking.compiled import compiled
 
+_TOGETHER = 32  # columns whose largest level is known
 _CHUNK, _FEW = 128, 16  # columns that are tested together before any of them is looked at alone
 _ALMOST = 1 - 2.0**-50
 _NONE: Any = np.int32(0)  # what narrow sums begin with
@@ -319,34 +320,54 @@ def sweep_pairs(pairs: np.ndarray, places: Places, orders: Orders, counts: Count
         _insert(np.sqrt(apart[0]), image, counts.farthest[query], counts.first[query], orders.place)
 
 
+@compiled(error_model="numpy")
+def _levels(line: np.ndarray, scale: np.ndarray, bias: np.ndarray, out: np.ndarray) -> None:
+    """Write the levels of a row; of what is not a number as of nothing."""
+    nothing = np.float32(-np.inf)
+    for place in range(out.size):
+        level = (line[place] - bias[place]) / scale[place]
+        out[place] = level if level > nothing else nothing
+
+
+@compiled(fastmath={"nnan", "nsz", "reassoc"})
+def _largest(levels: np.ndarray, out: np.ndarray) -> None:
+    """Write the largest of every few levels."""
+    for number in range(out.size):
+        largest = np.float32(-np.inf)
+        some = levels[number * _TOGETHER : (number + 1) * _TOGETHER]
+        for place in range(some.size):
+            largest = max(largest, some[place])
+        out[number] = largest
+
+
 @compiled()
 def top_rows(tile: Tile, lens: Lens, groups: Groups, similarity: np.ndarray, index: np.ndarray) -> None:
     """Merge the images of a tile that seem most similar into running lists ``(n, m)``; ``groups`` are left out."""
     starts, members = groups
     rows, columns = tile.values.shape
-    last = similarity.shape[1] - 1
+    m, nothing = similarity.shape[1], np.float32(-np.inf)
     scale, bias = lens.scale[tile.first_column :][:columns], lens.bias[tile.first_column :][:columns]
+    levels, largest = np.empty(columns, np.float32), np.empty(-(-columns // _TOGETHER), np.float32)
     for row in range(rows):
         query = tile.first_row + row
-        line = tile.values[row]
-        own, values, labels = members[starts[query] : starts[query + 1]], similarity[query], index[query]
-        for begin in range(0, columns, _CHUNK):
-            end, reached, floor = min(begin + _CHUNK, columns), _NONE, values[last]
-            part, factor, shift = line[begin:end], scale[begin:end], bias[begin:end]
-            for offset in range(part.size):
-                reached += np.int32(part[offset] > floor * factor[offset] + shift[offset])
-            if reached == 0:
+        values, labels = similarity[query], index[query]
+        _levels(tile.values[row], scale, bias, levels)
+        for image in members[starts[query] : starts[query + 1]]:
+            if 0 <= image - tile.first_column < columns:
+                levels[image - tile.first_column] = nothing
+        _largest(levels, largest)
+        # As many images as the list is long are at least as similar as the last of as many largest ones.
+        least = np.partition(largest, largest.size - m)[largest.size - m] if largest.size > m else nothing
+        for number in range(largest.size):
+            if largest[number] < least or largest[number] <= values[m - 1]:
                 continue
-            for column in range(begin, end):
-                if line[column] > values[last] * scale[column] + bias[column]:
-                    image = tile.first_column + column
-                    place = np.searchsorted(own, image)
-                    if place < own.size and own[place] == image:
-                        continue
-                    value, slot = (line[column] - bias[column]) / scale[column], last
-                    while slot > 0 and values[slot - 1] < value:
-                        values[slot] = values[slot - 1]
-                        labels[slot] = labels[slot - 1]
-                        slot -= 1
-                    values[slot] = value
-                    labels[slot] = image
+            for column in range(number * _TOGETHER, min((number + 1) * _TOGETHER, columns)):
+                value, slot = levels[column], m - 1
+                if value < least or value <= values[slot]:
+                    continue
+                while slot > 0 and values[slot - 1] < value:
+                    values[slot] = values[slot - 1]
+                    labels[slot] = labels[slot - 1]
+                    slot -= 1
+                values[slot] = value
+                labels[slot] = tile.first_column + column

@@ -223,11 +223,16 @@ def views_of(rows: Rows, transforms: Mapping[str, Transform | None]) -> dict[str
 def _projector(descriptors: np.ndarray, transforms: list[Transform]) -> Callable[[np.ndarray], np.ndarray]:
     """Multiply descriptors once with all directions that differ: INLP's views share theirs."""
     places: dict[bytes, int] = {}
-    columns = {
-        id(basis): [places.setdefault(column.tobytes(), len(places)) for column in np.ascontiguousarray(basis.T)]
-        for transform in transforms
-        for basis in (transform.left, transform.right)
-    }
+    seen: dict[tuple[int, ...], int] = {}  # many are the same piece of memory, which needs no second comparison
+
+    def place(column: np.ndarray) -> int:
+        key = column.__array_interface__["data"][0], *column.strides
+        if key not in seen:
+            seen[key] = places.setdefault(column.tobytes(), len(places))
+        return seen[key]
+
+    bases = [basis for transform in transforms for basis in (transform.left, transform.right)]
+    columns = {id(basis): [place(column) for column in basis.T] for basis in bases}
     directions = np.array([np.frombuffer(column) for column in places]).reshape(len(places), descriptors.shape[1])
     out = np.empty((len(descriptors), len(places)))
     step = max(1, WIDENED // descriptors.shape[1])
