@@ -11,9 +11,9 @@ from oracle import Case, evaluated_queries
 
 from artifact import INLP, LEACE, evaluate
 from artifact.ranking import arithmetic, lenses, one_pass, products, similarity
-from artifact.ranking.compiled import threads
 from artifact.ranking.engine_torch import TorchEngine
 from artifact.ranking.engines import CpuEngine
+from artifact.suppression.compiled import threads
 from artifact.suppression.lowrank import LowRankMap
 
 PRODUCTS = products.every()

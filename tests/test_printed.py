@@ -14,7 +14,7 @@ from conftest import DRIVE, REPOSITORY, copy_book, imported_by, tiny_manifest, w
 
 from artifact import manifest
 from artifact.book import build, runner
-from artifact.ranking.compiled import compiled
+from artifact.suppression.compiled import compiled
 
 NOTEBOOKS = ("tab01", "tab03", "preview")
 NOT_TYPED = {

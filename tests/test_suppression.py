@@ -17,6 +17,7 @@ from sklearn.linear_model import LogisticRegression, SGDClassifier
 from sklearn.metrics import balanced_accuracy_score
 
 from artifact import INLP, LEACE, STD, compose, evaluate, load_transform
+from artifact.suppression import classifier, inlp
 from artifact.suppression.inlp import _coordinates, _erased_directions
 from artifact.suppression.lowrank import LowRankMap
 
@@ -209,6 +210,31 @@ def test_inlp_lowers_what_its_classifiers_find():
     assert gaps[-1] < 0.3 * gaps[0]
 
 
+@pytest.mark.filterwarnings("ignore:Maximum number of iteration")  # one of them does not converge
+@pytest.mark.parametrize("n_conditions", [2, 3, 5])
+@pytest.mark.parametrize(("n", "d", "shift"), [(300, 30, 0.3), (90, 700, 0.1), (60, 4, 0.0)])
+def test_the_classifier_is_the_one_of_scikit_learn(n, d, shift, n_conditions):
+    """Weights, epochs and what it predicts, for separable and other rows, many of one condition and few of another."""
+    X, condition = labelled(n, d, n_conditions, shift=shift)
+    condition[: n // 2] = 0
+    names = np.array(["rain", "night", "snow", "dawn", "dusk"])[condition]
+    for seed, scale in ((0, 1.0), (7, 0.03), (2**31 - 1, 20.0)):
+        expected = SGDClassifier(max_iter=2500, class_weight="balanced", random_state=seed).fit(scale * X, names)
+        found = classifier.LinearClassifier(seed).fit(scale * X, names)
+        assert found.n_iter_ == expected.n_iter_
+        for attribute in ("coef_", "intercept_"):
+            ours, theirs = getattr(found, attribute), getattr(expected, attribute)
+            assert ours.shape == theirs.shape
+            np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-10 * np.abs(theirs).max())
+        np.testing.assert_array_equal(found.predict(scale * X), expected.predict(scale * X))
+
+
+def test_a_classifier_that_overflows_says_so():
+    X, condition = labelled(40, 5, 2)
+    with pytest.raises(ValueError, match="descriptors are so large that a classifier's weights overflow; scale them"):
+        classifier.LinearClassifier().fit(X * 1e200, condition)
+
+
 def direct_inlp(X, condition, iterations, seed=0):
     """The loop on the descriptors themselves, with rank-1 deflation."""
     X, directions, accuracies = X.copy(), [], []
@@ -247,11 +273,14 @@ def test_inlp_balances_conditions_of_unequal_size():
 class Given:
     """In the place of a classifier: it finds directions that are given in advance."""
 
-    def __init__(self, weights, **_):
+    n_iter_ = 1
+
+    def __init__(self, weights, _):
         self.weights = weights
 
     def fit(self, X, condition):
         self.coef_ = next(self.weights)[None]
+        return self
 
     def predict(self, X):
         return np.zeros(len(X), int)
@@ -262,7 +291,7 @@ def test_a_direction_close_to_the_earlier_ones_leaves_nothing_of_any(monkeypatch
     rng = np.random.default_rng(0)
     first, second, third = rng.standard_normal((3, 40))
     weights = [first, first + 1e-8 * second, first - second + 1e-8 * third]
-    monkeypatch.setattr("artifact.suppression.inlp.SGDClassifier", functools.partial(Given, iter(weights)))
+    monkeypatch.setattr("artifact.suppression.inlp.LinearClassifier", functools.partial(Given, iter(weights)))
     coordinates = rng.standard_normal((90, 40))
     basis, _, ends = _erased_directions(coordinates, np.arange(90) % 2, 3, 0)
     assert ends.tolist() == [1, 2, 3]
@@ -278,7 +307,7 @@ def test_directions_are_orthonormal_where_the_data_are_nearly_flat(monkeypatch):
     rows, axes = (np.linalg.qr(rng.standard_normal(shape))[0] for shape in ((30, 30), (200, 30)))
     X = (rows * np.logspace(0, -5.9, 30)) @ axes.T
     # Each classifier finds one axis of the coordinates, those of the least scatter first.
-    monkeypatch.setattr("artifact.suppression.inlp.SGDClassifier", functools.partial(Given, iter(np.eye(30))))
+    monkeypatch.setattr("artifact.suppression.inlp.LinearClassifier", functools.partial(Given, iter(np.eye(30))))
     fitted = INLP(n_iterations=12).fit(X, np.arange(30) % 2)
     directions = fitted.directions_
     np.testing.assert_allclose(directions.T @ directions, np.eye(12), atol=1e-13)
@@ -332,14 +361,8 @@ def test_the_same_seed_gives_the_same_directions():
 
 
 def test_classifiers_that_do_not_converge_are_counted_once(monkeypatch):
-    from artifact.suppression import inlp
-
-    impatient = type(
-        "SGDClassifier",
-        (SGDClassifier,),
-        {"__init__": lambda self, **kw: SGDClassifier.__init__(self, **{**kw, "max_iter": 1})},
-    )
-    monkeypatch.setattr(inlp, "SGDClassifier", impatient)
+    monkeypatch.setattr(classifier, "EPOCHS", 1)
+    monkeypatch.setattr(inlp, "EPOCHS", 1)
     X, condition = labelled(60, 20, 2)
     with pytest.warns(ConvergenceWarning, match="3 of 3 INLP classifiers did not converge") as caught:
         INLP(n_iterations=3).fit(X, condition)

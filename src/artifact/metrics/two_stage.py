@@ -24,8 +24,8 @@ import numpy as np
 
 from artifact.metrics.result import QUERY_POOL, Result, Ties, is_integer
 from artifact.ranking.candidates import DISTRACTOR, POSITIVE, Entries, Images, Problem, Scores, scored_entries
-from artifact.ranking.compiled import compiled
 from artifact.ranking.one_pass import Options, draw_orders
+from artifact.suppression.compiled import compiled
 
 REVISION = 3  # raise when any rank changes: it is part of the key of stored rankings
 

@@ -1,18 +1,17 @@
-"""Compile the counting of ranking, so that notebooks that run side by side need not each: ``python -m artifact.ranking``."""
+"""Compile ranking and fitting, so that notebooks that run side by side need not each: ``python -m artifact.ranking``."""
 
 import time
 
 import numpy as np
 
 from artifact.ranking.one_pass import ImageSet, Options, rank
-from artifact.suppression.lowrank import LowRankMap
+from artifact.suppression.inlp import INLP
 
 
 def main() -> None:
-    """Rank a few made descriptors in all the ways that a ranking can take."""
+    """Fit on a few made descriptors, and rank them in all the ways that a ranking can take."""
     rng, places = np.random.default_rng(0), np.column_stack([np.arange(40.0), np.zeros(40)])
-    directions = np.linalg.qr(rng.standard_normal((16, 3)))[0]
-    views = {"view": LowRankMap(directions, directions, np.zeros(3))}
+    views = {"view": INLP(3).fit(rng.standard_normal((40, 16)), np.arange(40) % 2)}
     for dtype in (np.float32, np.float16):
         sets = [ImageSet(rng.standard_normal((40, 16)).astype(dtype), places) for _ in range(3)]
         options = Options(retrieve=3, view_sweeps=True, device="cpu")
@@ -22,4 +21,4 @@ def main() -> None:
 if __name__ == "__main__":
     began = time.monotonic()
     main()
-    print(f"compiled the counting of ranking in {time.monotonic() - began:.0f} s")  # noqa: T201
+    print(f"compiled ranking and fitting in {time.monotonic() - began:.0f} s")  # noqa: T201

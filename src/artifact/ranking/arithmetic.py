@@ -8,7 +8,7 @@ from math import isqrt
 
 import numpy as np
 
-from artifact.ranking.compiled import compiled
+from artifact.suppression.compiled import compiled
 
 STEP = 512  # columns that are summed by themselves
 WIDENED = 2**21  # values of half-precision rows, or of a block of rows, that are widened at a time

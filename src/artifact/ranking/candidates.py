@@ -18,9 +18,9 @@ import numpy as np
 
 from artifact.datasets.positives import as_columns
 from artifact.ranking.arithmetic import Dots
-from artifact.ranking.compiled import compiled, threads
 from artifact.ranking.one_pass import evaluated_queries
 from artifact.ranking.similarity import Looks, described, views_of
+from artifact.suppression.compiled import compiled, threads
 
 Scores = Callable[[Any, np.ndarray, Any, np.ndarray], np.ndarray]
 """Second stage: ``(queries, query rows, images, image rows)`` to ``(p,)`` scores, larger is better."""

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from artifact.ranking.compiled import compiled
+from artifact.suppression.compiled import compiled
 
 _TOGETHER = 32  # columns whose largest level is known
 _CHUNK, _FEW = 128, 16  # columns that are tested together before any of them is looked at alone

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 
 from artifact.ranking import products
-from artifact.ranking.compiled import threads
 from artifact.ranking.counting import Counts, Groups, Lens, Orders, Places, Target, Tile
 from artifact.ranking.products import Product, TorchProduct
+from artifact.suppression.compiled import threads
 
 _CONVERTED = 32 * 2**20  # bytes of descriptors that are sent to the device at a time if they do not stay there
 

@@ -16,9 +16,9 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from artifact.ranking import counting, products
-from artifact.ranking.compiled import threads
 from artifact.ranking.counting import Counts, Groups, Lens, Orders, Places, Target, Tile
 from artifact.ranking.products import NumpyProduct, Product
+from artifact.suppression.compiled import threads
 
 _COLUMNS = 2048  # columns of a product at a time: as much is copied or widened
 _KEPT = 2**26  # values of rows that are kept as the product takes them

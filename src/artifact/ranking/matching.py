@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from artifact.ranking.compiled import compiled
+from artifact.suppression.compiled import compiled
 
 if TYPE_CHECKING:
     import torch  # pages that show stored results need not wait for it

@@ -35,7 +35,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from artifact.ranking.arithmetic import ANY_ORDER
-from artifact.ranking.compiled import compiled, threads
+from artifact.suppression.compiled import compiled, threads
 
 _UNIT = 2.0**-24
 _ENGINE_UNIT = 2.0**-22

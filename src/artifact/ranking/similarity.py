@@ -42,7 +42,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from artifact.ranking.arithmetic import STEP, WIDENED, Dots, exact_products, nearest_float32, root, squares
-from artifact.ranking.compiled import compiled
+from artifact.suppression.compiled import compiled
 
 Similarity = Literal["cosine", "dot", "l2"]
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.linear_model import SGDClassifier
 from sklearn.utils.validation import check_is_fitted
 
+from artifact.suppression.classifier import EPOCHS, LinearClassifier
 from artifact.suppression.lowrank import LowRankEstimator, LowRankMap
 from artifact.suppression.samples import checked_fit, gram_matrix, spectrum, weighted_sum
 
@@ -83,11 +83,8 @@ def _erased_directions(
     for _ in range(iterations):
         if np.linalg.norm(coordinates) <= 1e-9 * start:
             break  # every dimension of the fitting data is gone
-        classifier = SGDClassifier(max_iter=2500, class_weight="balanced", random_state=seed)
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            classifier.fit(coordinates, condition)
-        unconverged += any(issubclass(warning.category, ConvergenceWarning) for warning in caught)
+        classifier = LinearClassifier(seed).fit(coordinates, condition)
+        unconverged += classifier.n_iter_ == EPOCHS
         right = classifier.predict(coordinates) == condition
         accuracies.append(np.mean([right[rows].mean() for rows in members]))
         for weights in classifier.coef_:
@@ -100,7 +97,7 @@ def _erased_directions(
                 _project_out(coordinates, direction)
         ends.append(basis.shape[1])
     if unconverged:
-        text = f"{unconverged} of {len(ends)} INLP classifiers did not converge in 2500 epochs"
+        text = f"{unconverged} of {len(ends)} INLP classifiers did not converge in {EPOCHS} epochs"
         warnings.warn(text, ConvergenceWarning, stacklevel=3)
     return basis, np.array(accuracies), np.array(ends, int)
 
