@@ -1,11 +1,15 @@
 """The linear classifier of INLP.
 
-It is the one that scikit-learn 1.8 fits as ``SGDClassifier(max_iter=2500, class_weight="balanced", random_state=seed)``, for
-dense rows and several times as fast, since its sums use vectors: stochastic gradient descent on the hinge loss with the
-penalty ``alpha |w|² / 2``, ``alpha = 10⁻⁴``, one row after the other in an order that changes with each epoch, in steps of
+It is the one that scikit-learn 1.8 fits as ``SGDClassifier(max_iter=2500, class_weight="balanced", random_state=seed)``, to
+the last bit, for dense rows and twice as fast: stochastic gradient descent on the hinge loss with the penalty
+``alpha |w|² / 2``, ``alpha = 10⁻⁴``, one row after the other in an order that changes with each epoch, in steps of
 ``1 / (alpha (t₀ + t))`` (Bottou 2012, *Stochastic gradient descent tricks*). It ends once the mean objective of five epochs
-in a row has not been lower by ``10⁻³`` than the lowest before. The rows come in scikit-learn's order, so that weights differ from its by
-what another order of summation rounds.
+in a row has not been lower by ``10⁻³`` than the lowest before.
+
+Every bit counts here: late classifiers find the same conditions in what is left, and rounding decides which of many
+directions. So sums are taken one by one, as scikit-learn does; that is slow because each addition waits for the one before.
+The time is won by adding for several purposes at once: a row is added to the weights while these are multiplied with the
+next, and as long as nothing is added they are multiplied with four.
 """
 
 from __future__ import annotations
@@ -18,8 +22,8 @@ EPOCHS = 2500
 _ALPHA, _LEAST_GAIN, _PATIENCE = 1e-4, 1e-3, 5
 _FIRST = 1 / (np.sqrt(1 / np.sqrt(_ALPHA)) * _ALPHA)  # t₀: the first step is as long as weights typically are
 _SMALLEST_SCALE = 1e-9
+_AHEAD = 4  # rows
 _LARGEST_INT = 2**31 - 1
-_SUMS = {"reassoc", "contract"}
 
 
 class LinearClassifier:
@@ -71,22 +75,30 @@ def _drawn(generator: np.random.RandomState) -> int:
     return int(generator.randint(_LARGEST_INT))
 
 
-@compiled(fastmath=_SUMS)
-def _inner(left: np.ndarray, right: np.ndarray) -> float:
-    total = 0.0
-    for column in range(left.size):
-        total += left[column] * right[column]
-    return total
-
-
-@compiled(fastmath=_SUMS)
-def _add(weights: np.ndarray, row: np.ndarray, times: float) -> float:
-    """Add a multiple of a row to the weights, in place, and return their squared length."""
-    squared = 0.0
+@compiled()
+def _products(weights: np.ndarray, X: np.ndarray, rows: np.ndarray, out: np.ndarray) -> None:
+    """Write the products of the weights and of four rows."""
+    p, q, r, s = X[rows[0]], X[rows[1]], X[rows[2]], X[rows[3]]
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
     for column in range(weights.size):
-        weights[column] += row[column] * times
-        squared += weights[column] * weights[column]
-    return squared
+        weight = weights[column]
+        a += weight * p[column]
+        b += weight * q[column]
+        c += weight * r[column]
+        d += weight * s[column]
+    out[0], out[1], out[2], out[3] = a, b, c, d
+
+
+@compiled()
+def _add(weights: np.ndarray, row: np.ndarray, times: float, following: np.ndarray) -> tuple[float, float]:
+    """Add a multiple of a row to the weights; return their squared length and their product with the row that follows."""
+    squared, product = 0.0, 0.0
+    for column in range(weights.size):
+        weight = weights[column] + row[column] * times
+        weights[column] = weight
+        squared += weight * weight
+        product += weight * following[column]
+    return squared, product
 
 
 @compiled()
@@ -109,23 +121,33 @@ def _descend(
     n, d = X.shape
     # The weights are scale * weights: so a penalty shrinks them all by one multiplication.
     weights, scale, squared, intercept = np.zeros(d), 1.0, 0.0, 0.0
-    order, step, lowest, waited = np.arange(n), 0, np.inf, 0
+    order, step, lowest, waited = np.empty(n + _AHEAD, np.int64), 0, np.inf, 0
+    order[:n] = np.arange(n)
+    products = np.empty(_AHEAD)
     for epoch in range(epochs):
-        _shuffle(order, seed)
-        objective = 0.0
-        for row in order:
-            margin = side[row] * (_inner(weights, X[row]) * scale + intercept)
+        _shuffle(order[:n], seed)
+        order[n:] = order[n - 1]
+        objective, known = 0.0, 0
+        for turn in range(n):
+            if known == 0:
+                _products(weights, X, order[turn:], products)
+                known = _AHEAD
+            row, product = order[turn], products[_AHEAD - known]
+            known -= 1
+            margin = (product * scale + intercept) * side[row]
             rate = 1 / (_ALPHA * (_FIRST + step))
             step += 1
-            objective += max(0.0, 1 - margin) + _ALPHA * 0.5 * squared
+            objective += 1 - margin if margin <= 1 else 0.0
+            objective += _ALPHA * (0.5 * np.sqrt(squared) ** 2)
             shrink = max(0.0, 1 - rate * _ALPHA)
-            scale, squared = scale * shrink, squared * shrink * shrink
+            scale, squared = scale * shrink, squared * (shrink * shrink)
             if scale < _SMALLEST_SCALE:
                 weights *= scale
-                scale = 1.0
+                scale, known = 1.0, 0
             if margin <= 1:
                 change = rate * side[row] * (own_weight if side[row] > 0 else other_weight)
-                squared = _add(weights, X[row], change / scale) * scale * scale
+                squared, products[-1] = _add(weights, X[row], change / scale, X[order[turn + 1]])
+                squared, known = squared * (scale * scale), 1
                 intercept += change
         if not (np.isfinite(intercept) and np.isfinite(squared)):
             return weights, np.nan, epoch + 1
