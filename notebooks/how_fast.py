@@ -18,11 +18,12 @@
 # float64, and where that cannot decide either, in whole numbers of any length. So ranks, ties and retrieval lists depend on no
 # block size, number of threads, library or device.
 #
-# What that costs is measured here while the page is made, in one run, against the least that any evaluation by matrix products
-# does: a bare float32 product of all queries with the database and with themselves, whose results are thrown away, by NumPy or
-# PyTorch, whichever is faster. When the distractors are the queries, half of their pairs suffice (dashed line); below it come
-# evaluations whose first look is by a faster product, such as that of oneDNN. faiss is shown if it is installed; it finds the
-# top 100 of the augmented database, without positives and without distances. `make bench` measures larger sizes.
+# What that costs is measured here while the page is made, in one run, against the least that any evaluation by float32 products
+# does: a bare one of all queries with the database and with themselves, whose results are thrown away, by NumPy or PyTorch,
+# whichever is faster. When the distractors are the queries, half of their pairs suffice (dashed line); below it come
+# evaluations whose first look is by a faster product, such as three of whole numbers of eight bits. faiss is shown if it is
+# installed; it finds the top 100 of the augmented database, without positives and without distances. `make bench` measures
+# larger sizes.
 
 # %% tags=["parameters", "hide-input"]
 profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal

@@ -40,7 +40,12 @@ TESTS = {
         "test_the_edge_is_a_slice_across_the_longest_direction",
     ],
     "Evaluation region": ["test_regions_share_no_place"],
-    "INLP": ["test_inlp_in_sample_space_equals_the_direct_loop", "test_inlp_is_an_orthogonal_projection_of_its_rank"],
+    "INLP": [
+        "test_the_classifier_is_the_one_of_scikit_learn",
+        "test_inlp_in_sample_space_equals_the_direct_loop",
+        "test_inlp_is_an_orthogonal_projection_of_its_rank",
+    ],
+    "INLP with few images": ["test_of_few_images_the_seed_decides_which_directions_go"],
     "LEACE": [
         "test_leace_equals_the_whitening_formula",
         "test_leace_tolerance_drops_directions_without_data",

@@ -261,6 +261,17 @@ def test_inlp_in_sample_space_equals_the_direct_loop(n, d):
     np.testing.assert_allclose(fitted.accuracies_[:3], accuracies[:3], atol=0.02)
 
 
+def test_of_few_images_the_seed_decides_which_directions_go():
+    """With 44 images the first classifier tells the conditions apart, late ones do not, and theirs are other directions."""
+    X, condition = labelled(44, 300, 2)
+    one, other = (INLP(n_iterations=35, seed=seed).fit(X, condition) for seed in (0, 1))
+    for fitted in (one, other):
+        assert fitted.accuracies_[0] == 1.0
+        assert (np.abs(fitted.accuracies_[10:] - 0.5) < 0.15).all()
+    shared = np.linalg.svd(one.directions_[:, 10:].T @ other.directions_[:, 10:], compute_uv=False)
+    assert (shared**2).mean() < 0.8
+
+
 def test_inlp_balances_conditions_of_unequal_size():
     """With nine times as many images of one condition: the classifiers of the definition, and their balanced accuracy."""
     X, condition = labelled(300, 20, 10, shift=0.3)
