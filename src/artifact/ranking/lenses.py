@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from artifact.ranking.counting import Groups, Lens, Target
-from artifact.ranking.products import Product
+from artifact.ranking.products import Product, TorchProduct
 from artifact.ranking.similarity import Best, Looks, Rows, Similarity, View
 
 _UNIT = 2.0**-24
@@ -132,10 +132,14 @@ class Sample:
     @cached_property
     def _margins(self) -> np.ndarray:
         """Distances of inner products from what they are compared with."""
+        import torch
+
         level, _ = self._looks.levels(self._some, self._positives)
         scale, bias, _ = _scale_and_bias(self._looks.images, self._kind)
-        rows = (side.descriptors[chosen].astype(np.float32) for side, chosen in self._sides())
-        return np.abs(np.matmul(next(rows), next(rows).T) - np.outer(level, scale[self._others]) - bias[self._others])
+        left, right = (torch.from_numpy(one.descriptors[rows].astype(np.float32)) for one, rows in self._sides())
+        # Not by NumPy, whose threads go on turning for a while, in the way of the first product.
+        found = np.asarray(TorchProduct().multiply(left, right))
+        return np.abs(found - np.outer(level, scale[self._others]) - bias[self._others])
 
     def _sides(self) -> tuple[tuple[Rows, np.ndarray], ...]:
         return (self._queries, self._some), (self._images, self._others)
