@@ -159,12 +159,13 @@ class HalfProduct:
 
     def terms(self, rows: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`Product`."""
-        rest = np.zeros(len(rows))
-        step = max(1, _WIDENED // rows.shape[1])
-        for start in range(0, len(rows), step):
-            block = np.ascontiguousarray(rows[start : start + step], np.float32)
+        rest = np.empty(len(rows))
+
+        def measure(some: slice, block: np.ndarray) -> None:
             # A sum in float32, rounded up.
-            rest[start : start + step] = 1.001 * (_tensor(block) - self.prepared(block)).norm(dim=1).numpy()
+            rest[some] = 1.001 * (_tensor(block) - self.prepared(block)).norm(dim=1).numpy()
+
+        _over_blocks(measure, rows)
         sums = _sums(rows.shape[1], _ENGINE_STEP, _ENGINE_UNIT, 1.01 * length)[0]
         return _with_remainders(sums, rest, length, 2.0**-5)
 
@@ -207,11 +208,7 @@ class IntegerProduct:
         """See :class:`Product`."""
         n, d = rows.shape
         low, rest = np.empty(n), np.empty(n)
-
-        def measure(some: slice) -> None:
-            _left_out(np.ascontiguousarray(rows[some], np.float32), low[some], rest[some])
-
-        _in_threads(measure, n, max(1, _WIDENED // d))
+        _over_blocks(lambda some, block: _left_out(block, low[some], rest[some]), rows)
         if d > _MOST_COLUMNS:
             rest[:] = np.inf
         sums = _rounding(4, d, _UNIT, length + 2 * low + rest)[0]
@@ -307,6 +304,12 @@ def _in_threads(work: Callable[[slice], None], n: int, step: int | None = None) 
     with threads() as executor:
         step = step or -(-n // executor._max_workers)
         list(executor.map(lambda start: work(slice(start, min(start + step, n))), range(0, n, step)))
+
+
+def _over_blocks(work: Callable[[slice, np.ndarray], None], rows: np.ndarray) -> None:
+    """Do some work with blocks of rows, in float32."""
+    step = max(1, _WIDENED // rows.shape[1])
+    _in_threads(lambda some: work(some, np.ascontiguousarray(rows[some], np.float32)), len(rows), step)
 
 
 def _tensor(rows: Any) -> Any:
