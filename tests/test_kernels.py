@@ -1,5 +1,6 @@
 """Kernels that are forked from one process: as those that start by themselves, only sooner."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -8,6 +9,7 @@ import time
 
 import nbformat
 import pytest
+from jupyter_client import AsyncKernelManager
 from nbclient import NotebookClient
 from nbclient.exceptions import DeadKernelError
 
@@ -22,10 +24,10 @@ def manager():
         yield found
 
 
-def answers(manager, folder, *sources):
+def answers(manager, folder, *sources, **options):
     """Run cells in a kernel; return what they print."""
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(source) for source in sources])
-    client = NotebookClient(notebook, kernel_manager_class=manager, kernel_name="python3")
+    client = NotebookClient(notebook, kernel_manager_class=manager, kernel_name="python3", **options)
     client.execute(cwd=str(folder))
     return ["".join(output.get("text", "") for output in cell.outputs).strip() for cell in notebook.cells]
 
@@ -99,3 +101,25 @@ def test_a_run_that_is_killed_leaves_no_kernel(tmp_path):
     run.kill()
     run.wait()
     assert_ended(*map(int, written.read_text().split()[:2]))
+
+
+CLOSED_TOO_SOON = """
+import os, zmq
+send = get_ipython().kernel._publish_status
+def send_and_fail(status, channel, parent=None):
+    send(status, channel, parent)
+    if channel == "control":
+        raise zmq.ZMQError(zmq.ENOTSOCK)
+get_ipython().kernel._publish_status = send_and_fail
+print(os.getpid())
+"""
+
+
+@pytest.mark.parametrize("kind", [kernels.forked, lambda: contextlib.nullcontext(AsyncKernelManager)])
+def test_a_kernel_that_ends_before_its_last_answer_is_sent_prints_nothing(tmp_path, capfd, kind):
+    with kind() as manager:
+        for quiet in (False, True):
+            (pid,) = answers(manager, tmp_path, CLOSED_TOO_SOON, extra_arguments=kernels.QUIET if quiet else [])
+            assert_ended(int(pid))
+            said = capfd.readouterr().err
+            assert said == "" if quiet else "Socket operation on non-socket" in said

@@ -17,6 +17,11 @@ from typing import Any
 from jupyter_client import AsyncKernelManager
 from jupyter_client.provisioning import LocalProvisioner
 
+# What a kernel says of itself: errors of a page reach us as exceptions. One that is told to end can close its sockets
+# before its last answer is sent, which Tornado would print as a traceback.
+_LOGGERS = {"loggers": {name: {"level": "CRITICAL"} for name in ("tornado", "asyncio")}}
+QUIET = ["--log-level=CRITICAL", f"--Application.logging_config={_LOGGERS}"]
+
 
 @contextlib.contextmanager
 def forked() -> Iterator[type[AsyncKernelManager]]:

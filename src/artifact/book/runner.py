@@ -225,7 +225,7 @@ def _execute(task: Task, stored: Path, manager: type[AsyncKernelManager]) -> lis
                     request_save_on_cell_execute=False,
                     config=_sockets(folder),
                     kernel_manager_class=manager,
-                    extra_arguments=["--log-level=CRITICAL"],  # the kernel's own chatter; errors reach us as exceptions
+                    extra_arguments=kernels.QUIET,
                 )
             return finishing.finish(temporary, task.name, task.profile, task.changed)
         finally:
