@@ -1,5 +1,6 @@
 """Counts are those of the exact similarities, whatever multiplies, on inputs made to mislead."""
 
+import time
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from math import isqrt
@@ -13,6 +14,7 @@ from artifact import INLP, LEACE, evaluate
 from artifact.ranking import arithmetic, lenses, one_pass, products, similarity
 from artifact.ranking.engine_torch import TorchEngine
 from artifact.ranking.engines import CpuEngine
+from artifact.studies.how_fast import synthetic
 from artifact.suppression.compiled import threads
 from artifact.suppression.lowrank import LowRankMap
 
@@ -350,6 +352,36 @@ def test_rows_are_prepared_once_while_there_is_room(monkeypatch):
     assert asked[2**26] < 0.6 * asked[0], asked
 
 
+def test_rows_are_multiplied_with_themselves_where_half_of_that_is_enough(monkeypatch):
+    queries, database, *where = real_like(160, 40, 9)
+    monkeypatch.setattr(one_pass, "_TILE_SIDE", 32)
+    own = []
+
+    class Seen(products.NumpyProduct):
+        def multiply(self, left, right, out=None):
+            own.append(np.shares_memory(left, right) and left.shape == right.shape)
+            return super().multiply(left, right, out)
+
+    monkeypatch.setattr(one_pass, "engine_for", lambda _: CpuEngine(Seen()))
+    evaluate(queries, database, *where, 3.0)
+    assert sum(own) == 160 // 32
+
+
+def test_a_product_that_is_far_behind_is_not_timed_for_long(monkeypatch):
+    calls = []
+
+    class Slow(products.NumpyProduct):
+        def multiply(self, left, right, out=None):
+            calls.append(left.shape)
+            time.sleep(0.02)
+            return super().multiply(left, right, out)
+
+    some = [products.NumpyProduct(), Slow("slow")]
+    monkeypatch.setattr(products, "every", lambda: some)
+    assert list(products.seconds.__wrapped__()) == some[:1]
+    assert {n for n, _ in calls} == {128}
+
+
 def test_the_bound_of_a_view_holds_and_a_lens_is_no_wider_than_needed():
     queries, database, *_ = real_like(80, 200, 5)
     X, condition = np.concatenate([queries, database]), np.repeat([0, 1], 80)
@@ -392,10 +424,27 @@ def test_a_small_part_of_the_pairs_is_looked_at_again_and_the_best_product_is_ta
     tried = evaluate(queries, database, *where, 3.0, device="cpu")
     assert tried.ranking.work.product == PRODUCTS[-1].name
     np.testing.assert_array_equal(tried.ranks(distractors=True), result.ranks(distractors=True))
+    made = synthetic(300, 300, 4096)
+    monkeypatch.setattr(products, "seconds", lambda: dict.fromkeys(PRODUCTS[:1], 1e-12))
+    before = evaluate(*made, 25.0, device="cpu").ranking.work
     monkeypatch.setattr(products, "seconds", lambda: dict.fromkeys(PRODUCTS[:2], 1e-12))
-    closest = evaluate(queries, database, *where, 3.0, device="cpu").ranking.work
+    closest = evaluate(*made, 25.0, device="cpu").ranking.work
     assert closest.product == "PyTorch float32"  # as fast, with the closer bound
-    assert closest.second_looks < work.second_looks
+    assert closest.second_looks < before.second_looks
+
+
+def test_second_looks_are_foretold_for_the_database_and_for_the_pool(monkeypatch):
+    foretold = []
+
+    class Foretelling(CpuEngine):
+        def choose(self, multiplications, look_seconds):
+            assert multiplications == 512 * 1200 * (700 + 1200 // 2)
+            foretold.append(look_seconds(self.product_kind))
+
+    monkeypatch.setattr(lenses.Sample, "pair_seconds", 1.0)
+    monkeypatch.setattr(one_pass, "engine_for", lambda _: Foretelling(products.HalfProduct()))
+    found = evaluate(*synthetic(1200, 700, 512), 25.0).ranking.work.second_looks
+    assert 0.8 * found < foretold[0] < 1.25 * found
 
 
 def test_a_similarity_between_two_float32_is_rounded_as_its_exact_value():

@@ -245,21 +245,20 @@ def _squared_distances(here: np.ndarray, there: np.ndarray, out: np.ndarray) -> 
 @compiled()
 def _insert(apart: float, image: int, farthest: np.ndarray, first: np.ndarray, orders: np.ndarray) -> None:
     """Put an outranking image into the lists of its query: its distance, and its place in each random order."""
+    # Every slot is written: a branch that cannot be foretold costs more.
     last = farthest.size - 1
     if apart > farthest[last]:
-        slot = last
-        while slot > 0 and farthest[slot - 1] < apart:
-            farthest[slot] = farthest[slot - 1]
-            slot -= 1
-        farthest[slot] = apart
+        for slot in range(farthest.size):
+            there = farthest[slot]
+            farthest[slot] = max(there, apart)
+            apart = min(there, apart)
     for draw in range(orders.shape[1]):
         place = orders[image, draw]
         if place < first[last, draw]:
-            slot = last
-            while slot > 0 and first[slot - 1, draw] > place:
-                first[slot, draw] = first[slot - 1, draw]
-                slot -= 1
-            first[slot, draw] = place
+            for slot in range(farthest.size):
+                before = first[slot, draw]
+                first[slot, draw] = min(before, place)
+                place = max(before, place)
 
 
 @compiled()

@@ -81,8 +81,10 @@ class CpuEngine:
         (top, bottom, _), (first, end, _) = rows.indices(len(left)), columns.indices(len(right))
         block = self._prepared(left, top, bottom)
         out = self._buffer("product", (bottom - top, end - first))
-        bounds = [first, *range(first - first % _COLUMNS + _COLUMNS, end, _COLUMNS), end]
-        for start, stop in itertools.pairwise(bounds):
+        bounds = {first, *range(first - first % _COLUMNS + _COLUMNS, end, _COLUMNS), end}
+        if left is right and first == top:
+            bounds.add(min(bottom, end))  # NumPy multiplies rows with themselves at half the price
+        for start, stop in itertools.pairwise(sorted(bounds)):
             self.product_kind.multiply(block, self._prepared(right, start, stop), out[:, start - first : stop - first])
         return out
 

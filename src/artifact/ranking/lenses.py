@@ -27,7 +27,7 @@ from artifact.ranking.similarity import Best, Looks, Rows, Similarity, View
 _UNIT = 2.0**-24
 _NEGLIGIBLE = 1e-6  # of a projection
 _LONGEST = 2.0**60  # lengths whose products stay finite
-_SAMPLED = 128
+_SAMPLED, _POSITIVES = 128, 64  # queries, and positives of each
 
 
 def lens(
@@ -109,18 +109,23 @@ def _lengths(rows: np.ndarray) -> np.ndarray:
 
 
 class Sample:
-    """Some queries and images, to foretell what share of all pairs a product would leave undecided."""
+    """Some queries and images, to foretell what share of the pairs a product would leave undecided."""
 
-    def __init__(self, queries: Rows, images: Rows, positives: Groups, kind: Similarity, looks: Looks) -> None:
+    def __init__(self, queries: Rows, positives: Groups, looks: Looks) -> None:
+        """Take some queries, and the levels of their best positives among the images of ``looks``."""
+        self._queries, self._looks = queries, looks
         self._some = np.linspace(0, len(queries) - 1, min(_SAMPLED, len(queries))).astype(int)
-        self._others = np.linspace(0, len(images) - 1, min(4 * _SAMPLED, len(images))).astype(int)
-        self._queries, self._images, self._kind, self._looks = queries, images, kind, looks
-        self._positives = positives.members[positives.starts[self._some]]
+        bounds = positives.starts[self._some], positives.starts[self._some + 1]
+        few = [np.linspace(a, b - 1, min(_POSITIVES, b - a)).astype(int) for a, b in zip(*bounds, strict=True)]
+        counts = list(map(len, few))
+        levels, _ = looks.levels(np.repeat(self._some, counts), positives.members[np.concatenate(few)])
+        self._level = np.maximum.reduceat(levels, np.cumsum([0, *counts[:-1]]))
+        self._margins: dict[int, np.ndarray] = {}
 
     @cached_property
     def pair_seconds(self) -> float:
         """Seconds of a second look."""
-        i, j = np.repeat(self._some, 8), np.resize(self._others, 8 * len(self._some))
+        i, j = np.repeat(self._some, 8), np.resize(self._others(self._looks.images), 8 * len(self._some))
         best = np.inf
         for turn in range(3):
             others = np.roll(j, turn)  # a pair is looked at only once
@@ -129,24 +134,29 @@ class Sample:
             best = min(best, time.perf_counter() - start)
         return best / len(i)
 
-    @cached_property
-    def _margins(self) -> np.ndarray:
-        """Distances of inner products from what they are compared with."""
+    def unsure(self, product: Product, images: View) -> float:
+        """Return the share of the pairs of queries and images that a product leaves undecided."""
+        sides = (self._queries, self._some), (images.rows, self._others(images))
+        (left, _), (_, right) = (
+            product.terms(side.descriptors[chosen], np.sqrt(side.squared[chosen])) for side, chosen in sides
+        )
+        if id(images) not in self._margins:
+            self._margins[id(images)] = self._margins_of(images)
+        return float((self._margins[id(images)] <= _lengths(left)[:, None] * _lengths(right)).mean())
+
+    def _margins_of(self, images: View) -> np.ndarray:
+        """Return the distances of inner products from what they are compared with."""
         import torch
 
-        level, _ = self._looks.levels(self._some, self._positives)
-        scale, bias, _ = _scale_and_bias(self._looks.images, self._kind)
-        left, right = (torch.from_numpy(one.descriptors[rows].astype(np.float32)) for one, rows in self._sides())
+        scale, bias, _ = _scale_and_bias(images, self._looks.kind)
+        some = self._others(images)
+        sides = self._queries.descriptors[self._some], images.rows.descriptors[some]
+        left, right = (torch.from_numpy(rows.astype(np.float32)) for rows in sides)
         # Not by NumPy, whose threads go on turning for a while, in the way of the first product.
         found = np.asarray(TorchProduct().multiply(left, right))
-        return np.abs(found - np.outer(level, scale[self._others]) - bias[self._others])
+        return np.abs(found - np.outer(self._level, scale[some]) - bias[some])
 
-    def _sides(self) -> tuple[tuple[Rows, np.ndarray], ...]:
-        return (self._queries, self._some), (self._images, self._others)
-
-    def unsure(self, product: Product) -> float:
-        """Return the share of pairs that a product leaves undecided."""
-        (left, _), (_, right) = (
-            product.terms(side.descriptors[chosen], np.sqrt(side.squared[chosen])) for side, chosen in self._sides()
-        )
-        return float((self._margins <= _lengths(left)[:, None] * _lengths(right)).mean())
+    @staticmethod
+    def _others(images: View) -> np.ndarray:
+        n = len(images.rows)
+        return np.linspace(0, n - 1, min(4 * _SAMPLED, n)).astype(int)

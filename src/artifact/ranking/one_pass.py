@@ -15,7 +15,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -131,7 +131,7 @@ def rank(
     with engine_for(options.device) as engine:
         rows, *others = described([s.descriptors for s in (queries, *images)], engine.executor)
         run = _Pass(engine, queries, rows, transforms, Groups(starts, members), threshold, options)
-        run.choose_product(others[0], images)
+        run.choose_product(others[0], [*others[1:], *(rows for pool in pools.values() if pool is None)])
         in_database = run.over_database(database, others[0])
         left, in_pools = iter(others[1:]), {}
         for name, pool in pools.items():
@@ -195,20 +195,23 @@ class _Pass:
         best = self.best[view]
         return self.looks[view].rounded(np.arange(len(self.queries)), best.index, best.level, best.doubt)
 
-    def choose_product(self, database: Rows, images: list[ImageSet]) -> None:
+    def choose_product(self, database: Rows, pools: list[Rows]) -> None:
         """Let the engine choose its product, knowing what the second looks of each would cost."""
-        pairs = len(self.queries) * (sum(map(len, images)) + len(self.queries) // 2)
-        sample: list[lenses.Sample] = []
+        n, d = self.rows.descriptors.shape
+        columns = len(database) + sum(len(pool) // (2 if pool is self.rows else 1) for pool in pools)
+
+        @cache
+        def sample() -> tuple[lenses.Sample, list[View]]:
+            plain = [views_of(rows, {ORIGINAL: None})[ORIGINAL] for rows in (database, *pools) if len(rows)]
+            looks = self._looks(plain[0], self._dots(database), ORIGINAL)
+            return lenses.Sample(self.rows, self.positives, looks), plain
 
         def look_seconds(product: Product) -> float:
-            if not sample:
-                plain = views_of(database, {ORIGINAL: None})[ORIGINAL]
-                looks = self._looks(plain, self._dots(database), ORIGINAL)
-                sample.append(lenses.Sample(self.rows, database, self.positives, self.options.similarity, looks))
-            times = 1 + (len(self.transforms) - 1) * _OF_A_VIEW
-            return sample[0].unsure(product) * sample[0].pair_seconds * pairs * times
+            some, sets = sample()
+            pairs = sum(some.unsure(product, images) * n * len(images.rows) for images in sets)
+            return pairs * some.pair_seconds * (1 + (len(self.transforms) - 1) * _OF_A_VIEW)
 
-        self.engine.choose(pairs * self.rows.descriptors.shape[1], look_seconds)
+        self.engine.choose(n * columns * d, look_seconds)
 
     def over_database(self, database: ImageSet, rows: Rows) -> dict[str, Counts]:
         """Multiply blocks of queries with the whole database: best positives, and the images that outrank them."""

@@ -93,7 +93,10 @@ def ranking_times(made: Made, *, n_views: int = 0, repeats: int = 3) -> pd.DataF
         "bare product, PyTorch": lambda: _bare(*tensors, lambda a, b: a @ b.T),
     }
     if products.OneDnnProduct.available():
-        works |= {"bare product, oneDNN": lambda: _bare(*tensors, products.OneDnnProduct().multiply)}
+        one = products.OneDnnProduct()
+        works["bare product, oneDNN"] = lambda: _bare(
+            *tensors, lambda a, b: one.multiply(one.prepared(a), one.prepared(b))
+        )
     works |= {COUNTS: evaluation(), NO_DISTRACTORS: evaluation({}), LISTS: evaluation(retrieve=10)}
     if views:
         works |= {f"with {n_views} INLP views": evaluation(views=views)}
