@@ -151,7 +151,7 @@ else
 		! $(VENV)/bin/python -m pip config list | grep -E '(index-url|proxy|cert|no-index|find-links)=' >/dev/null; }; then \
 		uv pip install --quiet --python $(VENV)/bin/python --no-deps --require-hashes -r environment.txt; \
 	else $(PIP) --no-deps --require-hashes -r environment.txt; fi; \
-	installed=$$?; wait $$city || echo "$(UNCOMPILED)"; exit $$installed
+	installed=$$?; wait $$city || test $$installed -ne 0 || echo "$(UNCOMPILED)"; exit $$installed
 	@$(PIP) --no-deps --no-build-isolation --editable .
 	@$(VENV)/bin/python -m artifact.ranking & ranking=$$!; $(VENV)/bin/python -m compileall -qq -j 0 src $(VENV)/lib; \
 		wait $$ranking || echo "$(UNCOMPILED)"

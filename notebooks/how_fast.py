@@ -20,7 +20,7 @@
 #
 # What that costs is measured here while the page is made, in one run, against the least that any evaluation by float32 products
 # does: a bare one of all queries with the database and with themselves, whose results are thrown away, by NumPy or PyTorch,
-# whichever is faster. When the distractors are the queries, half of their pairs suffice (dashed line); below it come
+# whichever is faster. When the distractors are the queries, half of their pairs suffice (dotted line); below it come
 # evaluations whose first look is by a faster product, such as three of whole numbers of eight bits. faiss is shown if it is
 # installed; it finds the top 100 of the augmented database, without positives and without distances. `make bench` measures
 # larger sizes.

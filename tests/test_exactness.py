@@ -281,6 +281,19 @@ def test_every_product_keeps_its_bound(product, d):
     assert bound.max() < 0.02 * np.outer(*(np.linalg.norm(rows, axis=1) for rows in (left, right))).max()
 
 
+def test_bounds_grow_with_the_steps_of_a_product_and_not_with_all_columns():
+    bound = {
+        d: np.prod([side.sum() for side in FLOAT32.terms(np.ones((1, d), np.float32), np.ones(1))])
+        for d in (4096, 8448)
+    }
+    assert bound[8448] < 0.75 * bound[4096]  # three steps of 2816 columns
+    closer, plain = (products.TorchProduct(step=step) for step in (128, 512))
+    rows = np.random.default_rng(0).standard_normal((40, 2000)).astype(np.float32)
+    found = [np.asarray(one.multiply(one.prepared(rows), one.prepared(rows))) for one in (closer, plain)]
+    np.testing.assert_allclose(*found, rtol=1e-4, atol=1e-3)
+    assert closer.terms(rows, np.ones(40))[0].sum() < plain.terms(rows, np.ones(40))[0].sum()
+
+
 @pytest.mark.parametrize("product", PRODUCTS, ids=NAMES[: len(PRODUCTS)])
 def test_bounds_hold_for_rows_of_any_size_and_shape(product):
     rng = np.random.default_rng(0)

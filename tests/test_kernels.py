@@ -123,3 +123,21 @@ def test_a_kernel_that_ends_before_its_last_answer_is_sent_prints_nothing(tmp_pa
             assert_ended(int(pid))
             said = capfd.readouterr().err
             assert said == "" if quiet else "Socket operation on non-socket" in said
+
+
+def test_threads_that_wait_sleep_soon_in_a_run_and_in_all_that_it_starts():
+    code = """
+import os, sys
+from artifact.commands import cli
+assert not {"numpy", "torch"} & {*sys.modules}, "too late to tell them"
+try:
+    cli.main(["--help"])
+except SystemExit:
+    print("told", os.environ["OMP_WAIT_POLICY"], os.environ["OPENBLAS_THREAD_TIMEOUT"])
+"""
+    environment = {name: value for name, value in os.environ.items() if "THREAD" not in name and "OMP" not in name}
+    for own, told in (({}, "PASSIVE 18"), ({"OPENBLAS_THREAD_TIMEOUT": "4"}, "PASSIVE 4")):
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=environment | own, capture_output=True, text=True, check=False
+        )
+        assert done.stdout.splitlines()[-1:] == [f"told {told}"], done.stderr

@@ -16,8 +16,10 @@ from artifact.commands.arguments import asked_parameters, assignments, parser
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return the exit status: 0, 1 for a failed run, 2 for unusable arguments."""
     # Threads of the models sleep while they wait: where they spin, a process that reads images beside them on a machine
-    # of few cores slows a forward pass several times. Read once, when PyTorch is imported; notebooks inherit it.
+    # of few cores slows a forward pass several times; those of NumPy's products spin 2¹⁸ cycles instead of 2²⁶. Read once,
+    # when PyTorch and NumPy are imported; notebooks inherit it.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "18")
     options = parser().parse_args(arguments)
     try:
         return _COMMANDS[options.command](options) or 0

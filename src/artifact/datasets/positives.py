@@ -30,9 +30,11 @@ def positives_of(
     near = trees[0].sparse_distance_matrix(trees[1], threshold * (1 + 1e-9), output_type="ndarray")
     # The tree's distances are good to far less than this slack; close to the threshold the definition decides.
     close = np.flatnonzero(near["v"] > threshold * (1 - 1e-9))
-    apart = np.linalg.norm(query_positions[near["i"][close]] - database_positions[near["j"][close]], axis=1)
-    pairs = np.delete(near["i"] * len(database_positions) + near["j"], close[apart > threshold])
-    pairs.sort(kind="stable")  # the tree lists images that are close to each other together: runs, which this joins
+    squared = np.zeros(len(close))
+    for here, there in zip(query_positions.T, database_positions.T, strict=True):
+        squared += (here[near["i"][close]] - there[near["j"][close]]) ** 2
+    pairs = np.delete(near["i"] * len(database_positions) + near["j"], close[np.sqrt(squared) > threshold])
+    pairs.sort()
     owners, indices = np.divmod(pairs, len(database_positions))
     counts = np.bincount(owners, minlength=len(query_positions))
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), indices.astype(np.int64, copy=False)

@@ -144,11 +144,12 @@ def near_best(
 
 @compiled()
 def show_rows(tile: Tile, lens: Lens, out: np.ndarray) -> None:
-    """Write the inner products of a tile in a view, from the same of the view before where they share parts."""
+    """Write the inner products of a tile in a view, in place of those of the view before where they share parts."""
     right, first, end = lens.right, tile.first_column, tile.first_column + out.shape[1]
     for row in range(out.shape[0]):
         line, parts = out[row], lens.left[tile.first_row + row]
-        line[:] = tile.values[row]
+        if not lens.shared:  # else it is written over
+            line[:] = tile.values[row]
         whole = lens.shared + (parts.size - lens.shared) // 4 * 4
         for part in range(lens.shared, whole, 4):
             a, b, c, d = parts[part], parts[part + 1], parts[part + 2], parts[part + 3]
@@ -168,11 +169,11 @@ def _surely(
     values: np.ndarray, scale: np.ndarray, bias: np.ndarray, reaches: np.ndarray, level: float, reach: float
 ) -> tuple[int, int]:
     """Count the images of a part of a row that are surely above and surely below a best positive."""
-    above, below = _NONE, _NONE  # narrow sums of slices: only so does the compiler use vectors
+    above, below = _NONE, _NONE  # sums of slices, kept narrow: only so does the compiler use whole vectors
     for place in range(values.size):
         middle, width = level * scale[place] + bias[place], reach * reaches[place]
-        above += np.int32(values[place] > middle + width)
-        below += np.int32(values[place] < middle - width)
+        above = np.int32(above + np.int32(values[place] > middle + width))
+        below = np.int32(below + np.int32(values[place] < middle - width))
     return above, below
 
 
@@ -286,7 +287,7 @@ def sweep_rows(tile: Tile, lens: Lens, target: Target, places: Places, orders: O
             for place in range(part.size):
                 outranking = np.int32(part[place] > level * factor[place] + shift[place] + reach * near[place])
                 outranks[place] = outranking
-                reached += outranking
+                reached = np.int32(reached + outranking)
             if reached == 0:
                 continue
             squared, early = squares[: part.size], earliest[begin:end]
@@ -300,7 +301,7 @@ def sweep_rows(tile: Tile, lens: Lens, target: Target, places: Places, orders: O
             for place in range(part.size):
                 soon = np.int32(squared[place] >= allowed) & np.int32(early[place] < latest)
                 outranks[place] &= np.int32(squared[place] >= farther) | soon
-                changing += outranks[place]
+                changing = np.int32(changing + outranks[place])
             if changing:
                 for place in range(part.size):
                     if outranks[place]:

@@ -14,7 +14,7 @@ from artifact.ranking.products import Product, TorchProduct
 from artifact.suppression.compiled import threads
 
 _CONVERTED = 32 * 2**20  # bytes of descriptors that are sent to the device at a time if they do not stay there
-
+_STEP = 128  # columns of a product: here the second looks, on the processor, weigh more than the product
 _PIECE = 2**24  # values of a tile that are counted at a time
 
 T = TypeVar("T")
@@ -30,7 +30,7 @@ class TorchEngine:
         self._device = device
         self._resident: dict[int, torch.Tensor] = {}
         self.executor = threads()
-        self.product_kind = product or TorchProduct()
+        self.product_kind = product or TorchProduct(step=_STEP)
 
     def __enter__(self) -> TorchEngine:
         return self

@@ -16,6 +16,7 @@ product of two lengths: the *reach* of the query and of the image.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -27,7 +28,7 @@ from artifact.ranking.similarity import Best, Looks, Rows, Similarity, View
 _UNIT = 2.0**-24
 _NEGLIGIBLE = 1e-6  # of a projection
 _LONGEST = 2.0**60  # lengths whose products stay finite
-_SAMPLED, _POSITIVES = 128, 64  # queries, and positives of each
+_SAMPLED, _POSITIVES = 64, 64  # queries, and positives of each
 
 
 def lens(
@@ -109,18 +110,17 @@ def _lengths(rows: np.ndarray) -> np.ndarray:
 
 
 class Sample:
-    """Some queries and images, to foretell what share of the pairs a product would leave undecided."""
+    """Some queries and images, to foretell how many pairs a product would leave undecided."""
 
-    def __init__(self, queries: Rows, positives: Groups, looks: Looks) -> None:
+    def __init__(self, queries: Rows, positives: Groups, looks: Looks, sets: Sequence[View]) -> None:
         """Take some queries, and the levels of their best positives among the images of ``looks``."""
-        self._queries, self._looks = queries, looks
+        self._queries, self._looks, self._sets = queries, looks, sets
         self._some = np.linspace(0, len(queries) - 1, min(_SAMPLED, len(queries))).astype(int)
         bounds = positives.starts[self._some], positives.starts[self._some + 1]
         few = [np.linspace(a, b - 1, min(_POSITIVES, b - a)).astype(int) for a, b in zip(*bounds, strict=True)]
         counts = list(map(len, few))
         levels, _ = looks.levels(np.repeat(self._some, counts), positives.members[np.concatenate(few)])
         self._level = np.maximum.reduceat(levels, np.cumsum([0, *counts[:-1]]))
-        self._margins: dict[int, np.ndarray] = {}
 
     @cached_property
     def pair_seconds(self) -> float:
@@ -134,27 +134,35 @@ class Sample:
             best = min(best, time.perf_counter() - start)
         return best / len(i)
 
-    def unsure(self, product: Product, images: View) -> float:
-        """Return the share of the pairs of queries and images that a product leaves undecided."""
-        sides = (self._queries, self._some), (images.rows, self._others(images))
-        (left, _), (_, right) = (
-            product.terms(side.descriptors[chosen], np.sqrt(side.squared[chosen])) for side, chosen in sides
-        )
-        if id(images) not in self._margins:
-            self._margins[id(images)] = self._margins_of(images)
-        return float((self._margins[id(images)] <= _lengths(left)[:, None] * _lengths(right)).mean())
+    def unsure(self, product: Product) -> float:
+        """Return how many pairs of all queries and the images of all sets a product leaves undecided."""
+        pairs, ours = 0.0, self._lengths_of_terms(product, self._queries, self._some)[0]
+        for images, margins in zip(self._sets, self._margins, strict=True):
+            theirs = self._lengths_of_terms(product, images.rows, self._others(images))[1]
+            share = (margins <= ours[:, None] * theirs).mean()
+            pairs += float(share) * len(self._queries) * len(images.rows)
+        return pairs
 
-    def _margins_of(self, images: View) -> np.ndarray:
-        """Return the distances of inner products from what they are compared with."""
+    @staticmethod
+    def _lengths_of_terms(product: Product, rows: Rows, some: np.ndarray) -> list[np.ndarray]:
+        terms = product.terms(rows.descriptors[some], np.sqrt(rows.squared[some]))
+        return [_lengths(side) for side in terms]
+
+    @cached_property
+    def _margins(self) -> list[np.ndarray]:
+        """The distances of inner products from what they are compared with, of each set."""
         import torch
 
-        scale, bias, _ = _scale_and_bias(images, self._looks.kind)
-        some = self._others(images)
-        sides = self._queries.descriptors[self._some], images.rows.descriptors[some]
-        left, right = (torch.from_numpy(rows.astype(np.float32)) for rows in sides)
-        # Not by NumPy, whose threads go on turning for a while, in the way of the first product.
-        found = np.asarray(TorchProduct().multiply(left, right))
-        return np.abs(found - np.outer(self._level, scale[some]) - bias[some])
+        found = []
+        for images in self._sets:
+            scale, bias, _ = _scale_and_bias(images, self._looks.kind)
+            some = self._others(images)
+            sides = self._queries.descriptors[self._some], images.rows.descriptors[some]
+            left, right = (torch.from_numpy(rows.astype(np.float32)) for rows in sides)
+            # Not by NumPy, whose threads go on turning for a while, in the way of the first product.
+            product = np.asarray(TorchProduct().multiply(left, right))
+            found.append(np.abs(product - np.outer(self._level, scale[some]) - bias[some]))
+        return found
 
     @staticmethod
     def _others(images: View) -> np.ndarray:

@@ -201,15 +201,14 @@ class _Pass:
         columns = len(database) + sum(len(pool) // (2 if pool is self.rows else 1) for pool in pools)
 
         @cache
-        def sample() -> tuple[lenses.Sample, list[View]]:
+        def sample() -> lenses.Sample:
             plain = [views_of(rows, {ORIGINAL: None})[ORIGINAL] for rows in (database, *pools) if len(rows)]
             looks = self._looks(plain[0], self._dots(database), ORIGINAL)
-            return lenses.Sample(self.rows, self.positives, looks), plain
+            return lenses.Sample(self.rows, self.positives, looks, plain)
 
         def look_seconds(product: Product) -> float:
-            some, sets = sample()
-            pairs = sum(some.unsure(product, images) * n * len(images.rows) for images in sets)
-            return pairs * some.pair_seconds * (1 + (len(self.transforms) - 1) * _OF_A_VIEW)
+            views = 1 + (len(self.transforms) - 1) * _OF_A_VIEW
+            return sample().unsure(product) * sample().pair_seconds * views
 
         self.engine.choose(n * columns * d, look_seconds)
 

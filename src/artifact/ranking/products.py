@@ -4,10 +4,11 @@ Each product of rows ``q`` and ``c`` comes with terms whose inner product bounds
 as_query(q) · as_image(c)``.
 
 - **float32.** A sum of ``n`` products in any order is off by at most ``γ_n |q| |c|`` with ``u = 2⁻²⁴`` (Higham 2002,
-  eq. 3.5). Columns are multiplied 512 at a time where the library can add a product to another, which rounds no term
-  more than ``512 + d / 512`` times: of d = 8,448 that is 16 times less, and as many fewer pairs to look at again. oneDNN
-  compiles its product for the processor at hand and is the fastest on many; it takes only columns that lie side by side,
-  so that they are copied, 2048 at a time. NumPy multiplies rows with themselves at half the price.
+  eq. 3.5). Steps of some columns are multiplied by themselves and added, which rounds no term more often than a step has
+  columns and there are steps: with 512 columns at a time, of d = 8,448, that is 16 times less, and as many fewer pairs to
+  look at again. PyTorch adds a product to another on the way; NumPy cannot, so that its steps are long. It multiplies
+  rows with themselves at half the price. oneDNN compiles its product for the processor at hand and is the fastest on
+  many; it takes only columns that lie side by side, so that they are copied, 2048 at a time.
 - **bfloat16.** Rows are rounded to what bfloat16 holds, ``q = q₁ + δ``, with the length of the remainder measured; the
   products of such values are exact in float32. What is left out is at most ``|δ_q| |c| + |q₁| |δ_c|``, by Cauchy and
   Schwarz. The processor is only told that it *may* use its matrix engine (AMX, tensor cores): should it take the values
@@ -40,7 +41,7 @@ from artifact.suppression.compiled import compiled, threads
 _UNIT = 2.0**-24
 _ENGINE_UNIT = 2.0**-22
 _SMALLEST = 2.0**-126
-_STEP, _ONEDNN_STEP, _INTEGER_STEP = 512, 2048, 2**15
+_STEP, _ONEDNN_STEP, _NUMPY_STEP, _INTEGER_STEP = 512, 2048, 4096, 2**15
 _WIDENED = 2**21  # values that are widened at a time
 _SHORTEST = np.float32(2.0**-118)  # the largest value of a row that has a scale
 _MOST_COLUMNS = 2**16  # sums of as many products of both parts are below 2³¹
@@ -66,7 +67,7 @@ class Product(Protocol):
 
 @dataclass(frozen=True)
 class NumpyProduct:
-    """NumPy's own float32 product."""
+    """NumPy's own float32 product, in few steps that are equally long."""
 
     name: str = "NumPy float32"
 
@@ -76,19 +77,24 @@ class NumpyProduct:
 
     def multiply(self, left: np.ndarray, right: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """See :class:`Product`."""
+        first, *others = _steps(left.shape[1], _numpy_step(left.shape[1]))
         with np.errstate(over="ignore", invalid="ignore"):  # of rows whose reach is infinite
-            return np.matmul(left, right.T, out=out)
+            total = np.matmul(left[:, first], right[:, first].T, out=out)
+            for some in others:
+                total += left[:, some] @ right[:, some].T
+        return total
 
     def terms(self, rows: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`Product`."""
-        return _sums(rows.shape[1], rows.shape[1], _UNIT, length)
+        return _sums(rows.shape[1], _numpy_step(rows.shape[1]), _UNIT, length)
 
 
 @dataclass(frozen=True)
 class TorchProduct:
-    """PyTorch's float32 product."""
+    """PyTorch's float32 product, ``step`` columns at a time."""
 
     name: str = "PyTorch float32"
+    step: int = _STEP
 
     def prepared(self, rows: Any) -> Any:
         """See :class:`Product`."""
@@ -97,11 +103,11 @@ class TorchProduct:
     def multiply(self, left: Any, right: Any, out: np.ndarray | None = None) -> Any:
         """See :class:`Product`."""
         with precision("highest"):
-            return _in_steps(left, right, _STEP, out)
+            return _in_steps(left, right, self.step, out)
 
     def terms(self, rows: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`Product`."""
-        return _sums(rows.shape[1], _STEP, _UNIT, length)
+        return _sums(rows.shape[1], self.step, _UNIT, length)
 
 
 @dataclass(frozen=True)
@@ -319,6 +325,11 @@ def _tensor(rows: Any) -> Any:
 def _steps(d: int, step: int) -> Iterator[slice]:
     for start in range(0, d, step):
         yield slice(start, min(start + step, d))
+
+
+def _numpy_step(d: int) -> int:
+    """Return the longest step of NumPy's that makes all steps of ``d`` columns nearly as long."""
+    return -(-d // -(-d // _NUMPY_STEP))
 
 
 def _in_steps(left: Any, right: Any, step: int, out: np.ndarray | None) -> Any:
