@@ -22,8 +22,8 @@
 # does: a bare one of all queries with the database and with themselves, whose results are thrown away, by NumPy or PyTorch,
 # whichever is faster. When the distractors are the queries, half of their pairs suffice (dotted line); below it come
 # evaluations whose first look is by a faster product, such as three of whole numbers of eight bits. faiss is shown if it is
-# installed; it finds the top 100 of the augmented database, without positives and without distances. `make bench` measures
-# larger sizes.
+# installed; it finds the top 100 of the augmented database, without positives and without distances. The sizes are small
+# here, so that what is not multiplied (counting, both sweeps, finding positives) weighs more; `make bench` measures larger ones.
 
 # %% tags=["parameters", "hide-input"]
 profile: str = "demo"  # a profile of data_manifest.yaml: demo, paper or rehearsal
