@@ -166,6 +166,21 @@ def test_print_holds_every_cell_of_every_table(browser, pages, name, tmp_path):
     page.context.close()
 
 
+def test_print_repeats_the_head_of_a_table_on_every_page_that_it_reaches(browser, pages, tmp_path):
+    html, _ = pages
+    page, _, _ = visit(browser, html / "executed" / "opening.html")
+    head, *rows = page.evaluate(
+        """[...document.querySelector("article table.results").rows].map(({cells: [first, ...others], parentNode}) =>
+          parentNode.tagName === "THEAD" ? [first, ...others].map((cell) => cell.textContent).join("") : first.textContent)"""
+    )
+    page.pdf(path=tmp_path / "page.pdf")
+    printed = [re.sub(r"\s", "", part.extract_text()) for part in pypdf.PdfReader(tmp_path / "page.pdf").pages]
+    reached = [text for text in printed if any(re.sub(r"\s", "", row) in text for row in rows)]
+    assert len(reached) > 1
+    assert all(re.sub(r"\s", "", head) in text for text in reached)
+    page.context.close()
+
+
 AXE = Path(axe_playwright_python.__file__).with_name("axe.min.js")
 
 
