@@ -170,8 +170,8 @@ def test_print_repeats_the_head_of_a_table_on_every_page_that_it_reaches(browser
     html, _ = pages
     page, _, _ = visit(browser, html / "executed" / "opening.html")
     head, *rows = page.evaluate(
-        """[...document.querySelector("article table.results").rows].map(({cells: [first, ...others], parentNode}) =>
-          parentNode.tagName === "THEAD" ? [first, ...others].map((cell) => cell.textContent).join("") : first.textContent)"""
+        """[...document.querySelector("article table.results").rows].map((row) =>
+          (row.parentNode.tagName === "THEAD" ? row : row.cells[0]).textContent)"""
     )
     page.pdf(path=tmp_path / "page.pdf")
     printed = [re.sub(r"\s", "", part.extract_text()) for part in pypdf.PdfReader(tmp_path / "page.pdf").pages]

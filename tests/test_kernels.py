@@ -125,7 +125,7 @@ def test_a_kernel_that_ends_before_its_last_answer_is_sent_prints_nothing(tmp_pa
             assert said == "" if quiet else "Socket operation on non-socket" in said
 
 
-def test_threads_that_wait_sleep_soon_in_a_run_and_in_all_that_it_starts():
+def test_threads_that_wait_are_told_to_sleep_soon_before_they_start():
     code = """
 import os, sys
 from artifact.commands import cli

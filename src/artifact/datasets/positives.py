@@ -30,9 +30,9 @@ def positives_of(
     near = trees[0].sparse_distance_matrix(trees[1], threshold * (1 + 1e-9), output_type="ndarray")
     # The tree's distances are good to far less than this slack; close to the threshold the definition decides.
     close = np.flatnonzero(near["v"] > threshold * (1 - 1e-9))
-    squared = np.zeros(len(close))
+    i, j, squared = near["i"][close], near["j"][close], np.zeros(len(close))
     for here, there in zip(query_positions.T, database_positions.T, strict=True):
-        squared += (here[near["i"][close]] - there[near["j"][close]]) ** 2
+        squared += (here[i] - there[j]) ** 2
     pairs = np.delete(near["i"] * len(database_positions) + near["j"], close[np.sqrt(squared) > threshold])
     pairs.sort()
     owners, indices = np.divmod(pairs, len(database_positions))

@@ -153,12 +153,11 @@ class Sample:
         """The distances of inner products from what they are compared with, of each set."""
         import torch
 
-        found = []
+        found, left = [], torch.from_numpy(self._queries.descriptors[self._some].astype(np.float32))
         for images in self._sets:
             scale, bias, _ = _scale_and_bias(images, self._looks.kind)
             some = self._others(images)
-            sides = self._queries.descriptors[self._some], images.rows.descriptors[some]
-            left, right = (torch.from_numpy(rows.astype(np.float32)) for rows in sides)
+            right = torch.from_numpy(images.rows.descriptors[some].astype(np.float32))
             # Not by NumPy, whose threads go on turning for a while, in the way of the first product.
             product = np.asarray(TorchProduct().multiply(left, right))
             found.append(np.abs(product - np.outer(self._level, scale[some]) - bias[some]))
